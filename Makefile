@@ -42,6 +42,7 @@ help:
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make test-page   the page in a browser: needs Chromium, on Debian apt install chromium"
+	@echo "make test-thorough   the tests that take longest, which make test leaves out: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
 	@echo "make oracle   1,000 random plans against exact light: an hour or two; goes on where it stopped"
 	@echo "make siege    attackers and faults against a simulated daemon: up to an hour; before a release"
@@ -145,10 +146,15 @@ public-types: $(INSTALLED)
 	$(BIN)/python -m benchmarks.client.types
 
 fast: $(INSTALLED)
-	$(COMPUTING) -m "not slow and not system and not page"
+	$(COMPUTING) -m "not slow and not thorough and not system and not page"
 
 pytest: $(INSTALLED)
-	$(WAITING) -m "not system and not page"
+	$(WAITING) -m "not thorough and not system and not page"
+
+# The tests that take most: two thirds of the time of all.
+.PHONY: test-thorough
+test-thorough: $(INSTALLED)
+	$(WAITING) -m thorough
 
 # Plans against exact light. Not part of test, which takes forty; it goes on where it stopped.
 .PHONY: oracle

@@ -84,7 +84,7 @@ def test_setting_has_a_truth_of_its_own() -> None:
     assert measure(setting(value), value, least=1, budget=1e-9).error == 0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
     """The operator beats every field by ten times in error; finer sampling helps the field."""
     job, truth = transfer
@@ -103,7 +103,7 @@ def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
     assert 10 * best < grid < 5e-2
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_algorithm_of_the_paper_is_one_of_the_methods(transfer: tuple[Job, Tensor]) -> None:
     """It skips pixels between its samples, and knows the PSF on the sensor alone."""
     job, truth = transfer
@@ -115,7 +115,7 @@ def test_algorithm_of_the_paper_is_one_of_the_methods(transfer: tuple[Job, Tenso
     assert 4 * errors["area"] < errors["bilinear"] < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_quick_run_writes_table_json_and_charts(tmp_path: Path) -> None:
     app, out = typer.Typer(), tmp_path / "results"
     app.command()(command.main)

@@ -75,7 +75,7 @@ def test_every_class_comes_equally_often() -> None:
     assert (torch.bincount(labels, minlength=10) - 200).abs().max() < 5 * 180**0.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_was_measured_is_kept_and_charted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,7 +86,7 @@ def test_one_that_does_not_begin_shows_nothing(tmp_path: Path) -> None:
     assert run("suite-AVX2", environment(tmp_path, "exit 4")) == Run("suite-AVX2", None, False)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_small_selection_under_the_oldest_instructions(tmp_path: Path) -> None:
     selection = ROOT / "tests" / "benchmarks" / "test_structure.py"
     script = f'exec "{sys.executable}" -m pytest "$@" -n 0 -p no:cacheprovider "{selection}"'

@@ -18,7 +18,7 @@ def test_overhead_is_what_the_device_did_not_take() -> None:
     assert request.overhead == pytest.approx(0.11)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_figures_of_clients_at_the_same_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

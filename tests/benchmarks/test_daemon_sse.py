@@ -125,7 +125,7 @@ async def test_who_does_not_read_slows_nobody_and_is_told_what_it_missed(bench: 
     assert gaps[0].missed > 400
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_listeners_of_a_daemon_miss_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

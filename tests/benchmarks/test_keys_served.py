@@ -29,7 +29,7 @@ def figures_of(path: Path) -> dict[str, float]:
     return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ["sealed", "white"])
 def test_two_planted_scenes_become_figures(bundle_file: Path, tmp_path: Path, form: str) -> None:
     figures, work = tmp_path / "figures.json", tmp_path / "work"
@@ -44,14 +44,14 @@ def test_two_planted_scenes_become_figures(bundle_file: Path, tmp_path: Path, fo
     assert len(record.read_text().splitlines()) == 40
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_planted_digits_become_figures(bundle_file: Path, tmp_path: Path) -> None:
     figures, work = tmp_path / "figures.json", tmp_path / "work"
     served.digits(work, count=24, bundle=bundle_file, epochs=1, figures=figures)
     assert "rest_white_digit_advantage_upper" in figures_of(figures)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_daemon_that_is_taken_opens_nothing_earlier(bundle_file: Path, tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     # It raises where not even the epoch that goes on is found.

@@ -144,7 +144,7 @@ def test_options_that_cannot_be_used(run: Run, options: tuple[str, ...], reason:
 # --- running them
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_quick_table_is_run_once_and_reported(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

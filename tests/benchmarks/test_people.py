@@ -35,7 +35,7 @@ def test_no_person_is_both_learned_from_and_checked_with() -> None:
         parts_of(Images(learned.pixels, learned.labels), test)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_faces_are_read_raw_and_not_in_ciphertext() -> None:
     sources = {"glasses": (people(1, 80), people(2, GALLERY), people(3, GALLERY))}
     raw, sealed = (measured(sources, SCENE, form, PLAN, 1) for form in ("raw", "sealed"))

@@ -22,7 +22,7 @@ def test_modes_without_masks_are_left_out() -> None:
     assert modes["fresh"] is fresh
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_figures_of_a_mode_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pairs, fresh = tmp_path / "pairs.veilcam", tmp_path / "fresh.veilcam"
     write_bundle(pairs, make_pairs())

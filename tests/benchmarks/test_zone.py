@@ -8,7 +8,7 @@ import pytest
 from benchmarks.people.zone import seen_after
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_zone_that_changes_to_and_fro_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("operator", "contract"), PAIRS)
 def test_contract(operator: Operator, contract: Contract) -> None:
     assert contract.measure(operator) <= contract.tolerance

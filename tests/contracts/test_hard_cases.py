@@ -59,7 +59,7 @@ def finite_with_gradients(operator: Operator, setting: Setting) -> None:
     assert all_finite(*gradients)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @every
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -70,7 +70,7 @@ def test_from_a_micrometre_to_a_kilometre(
         finite_with_gradients(operator, Setting(3, 4, dtype, distance=distance))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @every
 @pytest.mark.parametrize("wavelength", WAVELENGTHS)
 def test_from_ultraviolet_to_thermal(operator: Operator, wavelength: float) -> None:
@@ -279,7 +279,7 @@ def test_learnable_distance_through_the_transfer_operator() -> None:
     assert float(gradient) == pytest.approx(float(difference), rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.long
 def test_many_steps(*, long_form: bool) -> None:
     """Adam with projection to [0, 1], and a gradient that is now and then absurd: no NaN, no end.

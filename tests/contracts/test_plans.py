@@ -51,7 +51,7 @@ def made(camera: Camera, tolerance: float, conditions: Conditions = PARAXIAL) ->
     return plan(camera, scene_for(camera), Embedding(4, 5), tolerance, conditions, batch=5)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @cameras
 @tolerances
 def test_plan_equals_no_plan(camera: Camera, tolerance: float) -> None:
@@ -79,7 +79,7 @@ def test_plan_equals_no_plan(camera: Camera, tolerance: float) -> None:
         assert relative(chosen.transfer(weights), by_hand(weights)) < precision
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @cameras
 @tolerances
 def test_plan_keeps_its_promise(camera: Camera, tolerance: float) -> None:
@@ -149,6 +149,7 @@ def test_noise_of_a_plan_is_noise_after_the_optics() -> None:
     assert torch.equal(noisy, by_hand)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("distance", [1e-6, 1e-4, 0.4, 1e3])
 @pytest.mark.parametrize("wavelength", [200e-9, 10e-6])
 def test_total_at_the_ends(distance: float, wavelength: float) -> None:

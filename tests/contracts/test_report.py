@@ -14,6 +14,7 @@ def test_page_is_not_stale() -> None:
     assert written == current, "run python -m tests.contracts.report"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "place", [place for table in (CLOSED_FORMS, DEFECTS) for t in table.values() for place in t]
 )

@@ -178,7 +178,7 @@ print(Network.load(layers, weights)(numpy.ones((1, 1, 24, 32), "f4")).shape)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_classifiers_run_without_memory_that_is_both_written_and_executed() -> None:
     command = [sys.executable, "-c", CONVOLVE]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

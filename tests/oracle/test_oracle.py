@@ -241,7 +241,7 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyP
     draw_chart([], chart)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_forty_plans_are_honest() -> None:
     """Of the command's thousand the first forty."""
     results = [judge(seed) for seed in range(40)]

@@ -18,6 +18,7 @@ def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Doors]:
         yield opened
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda sample: sample.name)
 def test_picture_is_read_or_refused_by_name(doors: Doors, sample: Sample, door: str) -> None:

@@ -30,7 +30,7 @@ def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.Com
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("command", "arguments", "missing", "extra"),
     [

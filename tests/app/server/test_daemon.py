@@ -83,7 +83,7 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> None:
     """An upgrade, a stranger's word for who asks, and a stream whose head alone is wanted."""
     with (
@@ -102,7 +102,7 @@ def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> Non
     assert entries[-1]["peer"] == "127.0.0.1"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
     log = tmp_path / "log"
     with daemon(log, "--port", "0", *options) as (process, url), Camera(url) as camera:
@@ -191,7 +191,7 @@ def _check_no_secrets(text: bytes, bundle: Bundle) -> None:
                 assert f" {run} ".encode() not in numbers
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "v.sock"
     left_behind = socket.socket(socket.AF_UNIX)
@@ -210,7 +210,7 @@ def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
     assert not path.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "api.sock"
     serve = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
@@ -248,7 +248,7 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
     assert path.exists()  # systemd goes on listening there
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
     """No secret and no receiver; then a receiver, and an end that nobody was told of."""
     log, state = tmp_path / "log", tmp_path / "state"
@@ -294,7 +294,7 @@ def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_p
         process.kill()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
     options: list[str], tmp_path: Path
 ) -> None:

@@ -39,7 +39,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return int(caught.value.code or 0)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_keyring_end_to_end(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -81,7 +81,7 @@ def test_keyring_end_to_end(
     assert all((a.levels == b.levels).all() for a, b in zip(bundle.pairs, again.pairs, strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_fit_prints_and_writes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -208,7 +208,7 @@ def test_no_bundle_of_a_binning_that_no_device_makes(source: Source) -> None:
         as_bundle([outcome], source, Camera())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [("fit",), ("keyring", "--pairs", 1)])
 def test_work_has_checkpoints(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: tuple[object, ...]

@@ -29,7 +29,7 @@ def small(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
     out = tmp_path / "fresh.veilcam"
     command = [
@@ -64,7 +64,7 @@ def test_the_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: 
         assert reason in str(error)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
     config.write_text(f'task = "mnist_3x4"\nepochs = 2\n{SMALL}')

@@ -28,7 +28,7 @@ def call(monkeypatch: pytest.MonkeyPatch) -> Call:
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_folder_is_drawn_summed_up_and_fitted(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -56,7 +56,7 @@ def test_a_folder_is_drawn_summed_up_and_fitted(
     assert "is missing" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
     assert call("draw", shapes, "--count", 200) == 0
@@ -101,7 +101,7 @@ def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -120,7 +120,7 @@ def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
     assert read_bundle(out).channels == 1
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_fit_that_keeps_nothing_says_so_before_it_starts(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -141,7 +141,7 @@ def test_label_that_no_bundle_can_hold_ends_the_run_before_the_fit(
         assert "label 'Unknown' is the word" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_damaged_pictures_may_be_left_out(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def write_stripes(folder: Path) -> None:
     (folder / "stripes.bin").write_bytes(torch.stack(records).to(torch.uint8).numpy().tobytes())
 
 
+@pytest.mark.thorough
 def test_a_new_data_set_is_fitted_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     line = {"stripes": StripesSource}
     monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, **line})

@@ -217,6 +217,7 @@ def test_bad_celeba(celeba_files: Writer, tmp_path: Path) -> None:
         source.training()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "files"),
     [

@@ -84,7 +84,7 @@ def test_one_process_is_this_one() -> None:
         list(HERE.run(refuse, [1]))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["local", "ray"])
 def test_results_come_with_the_index_of_their_task(
     request: pytest.FixtureRequest, kind: str
@@ -97,13 +97,13 @@ def test_results_come_with_the_index_of_their_task(
     assert all(np.array_equal(tensor, torch.ones(1000)) for _, _, tensor in results.values())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
     assert list(workers.run(kill_once, [folder])) == [(0, 1)]
     assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_task_that_kills_every_worker(workers: Executor, folder: Path) -> None:
     with pytest.raises(TrainingError, match=r"workers were lost 3 times .* use fewer"):
         list(workers.run(kill, [folder]))
@@ -141,7 +141,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("cause", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_their_parent(tmp_path: Path, folder: Path, cause: signal.Signals) -> None:
     script = tmp_path / "parent.py"
@@ -178,7 +178,7 @@ def fit_pairs(monkeypatch: pytest.MonkeyPatch, data: Path, out: Path, *options: 
     return read_bundle(out)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_keyring_is_the_same_wherever_it_is_made(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
@@ -236,7 +236,7 @@ def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
         RayExecutor("local")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_workers_of_the_command_line() -> None:
     assert isinstance(make_executor(None, None), LocalExecutor)
     assert isinstance(make_executor(None, "local"), RayExecutor)

@@ -99,7 +99,7 @@ def test_it_learns(source: Source, encoder: str) -> None:
     assert outcome.fit.history[-1].loss < 0.5 * outcome.fit.history[0].loss
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
 )
@@ -122,7 +122,7 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     assert torch.equal(torch.rand(3), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "changes",
     [
@@ -326,7 +326,7 @@ class StopAfter:
         assert 0 <= epoch.validation_accuracy <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -393,7 +393,7 @@ run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kil
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: Path) -> None:
     chosen, path = settings(), tmp_path / "fit.checkpoint"
     arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]

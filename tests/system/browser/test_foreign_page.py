@@ -38,6 +38,7 @@ def daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemons]:
         yield started
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", TRIALS)
 def test_no_page_of_another_site_drives_the_daemon(
     program: str, daemons: Daemons, tmp_path: Path, name: str
@@ -66,6 +67,7 @@ def test_a_link_leads_to_the_page_of_the_daemon_and_a_frame_does_not(
         assert result.refused == refused
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("auth", ["none", "tokens"])
 def test_the_same_requests_of_a_program_do_what_they_say(daemons: Daemons, auth: str) -> None:
     assert len(asks()) == 21

@@ -216,6 +216,7 @@ def check(daemon: Daemon, found: dict[str, Any], status: int, body: str) -> None
         assert bool(body) is bool(content)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("operation", OPERATIONS)
 def test_both_lines_do_what_they_stand_beside(
     daemon: Daemon, operation: str, monkeypatch: pytest.MonkeyPatch

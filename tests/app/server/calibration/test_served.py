@@ -76,7 +76,7 @@ def accuracy(camera: Camera, captures: int) -> float:
     return right / captures
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(900)  # two daemons and a calibration, on a machine that may be busy
 def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
     bundle, built = tmp_path / "a.veilcam", tmp_path / "built.json"

@@ -32,7 +32,7 @@ def run(*arguments: str, heavy: tuple[str, ...] = HEAVY) -> tuple[int, str, str]
     return done.returncode, loaded.removeprefix("loaded").strip(), "\n".join(said) + done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [

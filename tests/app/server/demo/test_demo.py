@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 runner = CliRunner()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = runner.invoke(
@@ -54,7 +54,7 @@ def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = runner.invoke(
@@ -92,7 +92,7 @@ def test_what_is_missing_is_named(bundle_file: Path, options: list[str], message
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Path) -> None:
     from veilcam_server.demo.daemon import running
 

@@ -31,6 +31,7 @@ def test_all_of_a_daemon_is_imported() -> None:
     run("-c", f"{_MISSING}\nimport veilcam_client.decoding\n{imports}")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["fresh", "pairs"])
 def test_it_reads_frames_behind_masks_of_the_bundles_that_come_along(mode: str) -> None:
     taken = json.loads(run("-m", "benchmarks.deploy.device_path", mode))

@@ -380,7 +380,7 @@ print(said)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_log_whose_writer_is_killed_has_every_answer_that_left(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[4]
     done = subprocess.run(

@@ -73,7 +73,7 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_path: Path) -> None:
     certificate, key = write_pair(tmp_path / "tls")
     store = TokenStore(tmp_path / "state")

@@ -50,7 +50,7 @@ async def ask_async(server: Hostile) -> VeilcamError:
     return caught.value
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(120)
 def test_a_hundred_hostile_servers_hold_nobody_up() -> None:
     servers = draw(100, seed=1)

@@ -127,7 +127,7 @@ def require_uniform(directions: Tensor) -> None:
     assert abs(float(u.pow(4).sum(1).mean()) - expected) < bound
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", ["scene", "brighter", "dark", "mean", "nan"])
 def test_over_fresh_rotations_a_direction_is_uniform_whatever_was_seen(
     decoding: SceneDecoding, what: str

@@ -144,7 +144,7 @@ def test_every_effect_has_a_job_that_calls_for_it() -> None:
     assert [effect.name for effect in EFFECTS] == list(CALLED)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     """By hand: with it and without it. The plan's estimate is about what is found."""
@@ -164,7 +164,7 @@ def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     assert found / 2.5 < estimated < found * 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_a_plan_switches_it_on_where_it_matters(effect: Effect) -> None:
     called = CALLED[effect.name]
@@ -264,7 +264,7 @@ def test_what_is_off_is_not_computed() -> None:
     assert more.cost.step_ms > chosen.cost.step_ms
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["factors", "grid"])
 def test_methods_agree_under_all_linear_conditions(method: str) -> None:
     conditions = Conditions(

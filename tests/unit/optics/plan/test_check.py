@@ -72,6 +72,7 @@ def relative(value: Tensor, truth: Tensor) -> float:
     return float((value.double() - truth).norm() / truth.norm())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["filters", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CAMERAS)[1:])]
 )
@@ -82,7 +83,7 @@ def test_its_field_is_that_of_the_reference(name: str) -> None:
     assert relative(whole(Model(camera, SCENE, EMBEDDING, PARAXIAL)), truth) < 3e-5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_its_field_counts_every_effect(name: str) -> None:
     """Against an operator with all pairs, each scene pixel's own angle, and as many samples."""
@@ -99,7 +100,7 @@ def test_its_field_counts_every_effect(name: str) -> None:
     assert relative(without, operated) > 1e-4, "the effect is large enough to be tested"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CAMERAS)
 @pytest.mark.parametrize("tolerance", [0.2, 1e-2])
 def test_the_whole_error_is_within_the_interval(name: str, tolerance: float) -> None:
@@ -115,7 +116,7 @@ def test_the_whole_error_is_within_the_interval(name: str, tolerance: float) -> 
     assert reach < 3 * math.log(2.5), "an interval that says something"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["filters", "near", "far"])
 def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
     """Of 400 draws, CONFIDENCE; chance takes three of a hundred away, two standard deviations."""
@@ -188,7 +189,7 @@ def test_what_cannot_be_checked_is_refused() -> None:
         replace(chosen, asked=near).check(mask(camera))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_fewer_entries_where_each_is_dear() -> None:
     camera = replace(CAMERAS["near"], distance=10e-6)
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)

@@ -35,7 +35,7 @@ def error(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
     """Fringes of 64 x 64 sub-pixels of 3 um, 2 mm away, are wider than a pixel."""
     camera = Camera(

@@ -99,7 +99,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("job", CASES.values(), ids=CASES)
 def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> None:
     predicted, true = judged(job, "transfer")
@@ -107,7 +107,7 @@ def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> N
     assert true / 1.5 < predicted < 3 * true
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_shadows_miss_what_edges_lose() -> None:
     """Of one aperture 49 waves wide, on a pixel that is twenty distances wide."""
     seed = 3000054
@@ -126,7 +126,7 @@ def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
     assert true / 2 < predicted < 4 * true
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_wide_scene_pixel_is_seen_unevenly() -> None:
     """The sensor sees half the image of a pixel of 45 degrees: that near the axis is brighter."""
     near = camera(20e-6, (1, 1), 30e-6, 30e-6, 3e-6)
@@ -137,7 +137,7 @@ def test_a_wide_scene_pixel_is_seen_unevenly() -> None:
     assert true / 2 < predicted < 3 * true
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_apertures_turn_with_their_mask() -> None:
     """Far away long apertures make wide patterns: turned, these alone show."""
     panel = Panel(pitch_y=30e-6, pitch_x=90e-6, aperture_y=30e-6, aperture_x=60e-6, filter_cycle=())
@@ -246,7 +246,7 @@ def test_a_code_that_seldom_changes_is_held_where_it_does(
     assert (true <= 2 * predicted).mean() > 0.985
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_large_offset_calls_for_double_precision() -> None:
     """Light of 1e-8 on a black level of 0.01 is rounded by a seventh of itself in float32."""
     dark = camera(0.5e-6, (2, 2), 3e-6, 1e-3, 5e-6)

@@ -55,7 +55,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-3, 3e-4])
 @pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
@@ -75,7 +75,7 @@ def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -
     assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
     coarser = [plan(CAMERA, SCENE, EMBEDDING, tolerance, SOME) for tolerance in (1e-1, 1e-2)]
     plans = [*coarser, of_some]
@@ -190,7 +190,7 @@ EXTREMES = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("camera", "scene", "embedding", "tolerance"),
     [job[1:] for job in EXTREMES],
@@ -211,7 +211,7 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
         assert bool(torch.isfinite(values).all())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.long
 @settings(
     deadline=None,

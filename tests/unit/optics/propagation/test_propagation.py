@@ -76,7 +76,7 @@ def test_linear_and_batch_equals_loop(method: Propagator) -> None:
     assert relative(run(a), single) < 1e-13
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @every_method
 @pytest.mark.parametrize("scaled", [False, True])
 def test_gradcheck_of_everything_physical(method: Propagator, scaled: bool) -> None:
@@ -156,7 +156,7 @@ def test_finite_at_any_distance_and_wavelength(
     assert bool(torch.isfinite(torch.view_as_real(field.grad)).all())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("distance", [1e-4, 3e-4, 1e-3, 3e-3])
 def test_field_agrees_with_the_direct_sum_where_it_is_supported(distance: float) -> None:
     source = Grid.square(32, 31, 2e-6)

@@ -298,6 +298,7 @@ def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
         assert relative(make(SCENE, centre)(weights), part * 72 / 12) < 1e-6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("camera", "pairs"),
     [

@@ -29,7 +29,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_transfer_operator_agrees_at_24x32() -> None:
     """The main claim: few terms are within 3e-3 of the whole field sampled 16 times finer."""
     weights = mask(Camera())

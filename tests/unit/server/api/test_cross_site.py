@@ -116,7 +116,7 @@ async def state(client: httpx.AsyncClient, token: dict[str, str], bench: Bench) 
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("headers", FOREIGN)
 async def test_every_route_refuses_before_it_reads_or_does_anything(
     running: Running,
@@ -159,7 +159,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
     assert [entry["code"] for entry in refused] == ["cross_site"] * 2 * len(asked)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "headers",
     [

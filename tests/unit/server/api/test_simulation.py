@@ -194,7 +194,7 @@ def difference(one: object, other: object) -> float:
     return float(np.linalg.norm(first - second) / np.linalg.norm(first))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     "faults",
@@ -238,7 +238,7 @@ async def test_a_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> N
         assert (await sdk.status()).state == "ready"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     ("faults", "code"),
@@ -274,7 +274,7 @@ async def test_a_sensor_that_fails_is_an_error_and_then_a_state(
         await sdk.capture()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.anyio
 async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_themselves(
     given: dict[str, Any],

@@ -35,7 +35,7 @@ def badly() -> tuple[Built, CalibrationRecord]:
     return built, built.calibrate().record
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
     built, record = badly
     assert built.presented == ["dark", "white card", "lamp"]
@@ -81,7 +81,7 @@ def test_decoders_for_what_was_found_expect_what_is_read(
     assert errors[1] > 10 * errors[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
     built = Built(replace(BADLY, stray_light=0.1))
     record = built.calibrate().record
@@ -102,7 +102,7 @@ def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
         assert low < difference < high
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
     imperfections = optical.Imperfections(
         gamma=1.3, dead_rows=(4,), dead_columns=(5,), dead_transmittance=1.0
@@ -116,7 +116,7 @@ def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
     assert record.psf_residual < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_dead_lines_do_not_hide_the_floor() -> None:
     """A dark dead row shows what every dark sub-pixel does."""
     imperfections = optical.Imperfections(
@@ -178,7 +178,7 @@ def test_light_that_drifts_is_refused() -> None:
         Built(hardware=hardware).calibrate()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_lamp_in_the_wrong_place_is_refused() -> None:
     built = Built()
     present = built.present

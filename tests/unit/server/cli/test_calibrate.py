@@ -44,7 +44,7 @@ SetScene: TypeAlias = Callable[[CalibrationScene], None]
 COMMAND = ["calibrate", "--simulate", "--settle", "0.02", "--exposure", "0.001", "--repeats", "1"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_command_keeps_what_was_found(
     fresh_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

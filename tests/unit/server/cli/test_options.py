@@ -111,6 +111,7 @@ def test_every_setting_has_an_option() -> None:
     assert set(CASES) == set(Settings.model_fields)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CASES)
 def test_every_option_changes_its_setting(told: list[Any], name: str) -> None:
     options, value = CASES[name]

@@ -168,6 +168,7 @@ def chain(error: BaseException | None) -> list[BaseException]:
     return [] if error is None else [error, *chain(error.__cause__), *chain(error.__context__)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("error", WHATEVER, ids=IDS)
 @pytest.mark.parametrize(
     ("door", "use", "blamed"),

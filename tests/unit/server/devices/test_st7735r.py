@@ -102,7 +102,7 @@ def emulated(
     return panel, emulator
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
 def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> None:
     panel, emulator = emulated(clock, tab)

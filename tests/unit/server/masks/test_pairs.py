@@ -125,7 +125,7 @@ def test_the_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:
     assert len(set(masks)) == len(masks)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_digits_are_read_through_masks_and_not_without_them(demo_bundle: Bundle) -> None:
     assert accuracy(demo_bundle, load_pairs(demo_bundle)) >= 0.93
     assert accuracy(demo_bundle, load_pairs(demo_bundle, wrong_classifier=True)) < 0.40

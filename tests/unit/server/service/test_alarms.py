@@ -226,6 +226,7 @@ async def test_a_mask_that_cannot_be_made_for_a_while_stops_no_task(
     camera.stop()
 
 
+@pytest.mark.thorough
 async def test_a_policy_that_wants_no_mask_any_more_ends_the_alarm(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

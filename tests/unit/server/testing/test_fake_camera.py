@@ -43,6 +43,7 @@ def fake(daemon: FakeCamera) -> FakeCamera:
     return daemon
 
 
+@pytest.mark.thorough
 def test_it_prints_nothing_and_logs_as_the_program_says(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:

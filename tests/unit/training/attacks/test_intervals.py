@@ -29,7 +29,7 @@ def test_the_area_is_mann_whitneys_and_its_error_delongs() -> None:
     assert error == pytest.approx(variance**0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_errors_are_those_of_repeated_experiments() -> None:
     random = np.random.default_rng(2)
     gains = []

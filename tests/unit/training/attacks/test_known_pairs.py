@@ -80,7 +80,7 @@ def test_a_reader_reads_behind_a_mask_of_which_it_knows_captures(reader: str) ->
     judge(READERS[reader], anew=True)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("ridge", [float("inf"), 0.1])
 def test_angles_to_known_pictures_say_more_than_their_classes(ridge: float) -> None:
     few = 6  # little more than one of each class

@@ -153,7 +153,7 @@ def test_a_leaked_list_says_nothing_of_directions(decoding: SceneDecoding) -> No
     assert named <= binom.isf(1e-4, COUNT, share)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_learned_decoder_sees_more_than_a_linear_one(decoding: SceneDecoding) -> None:
     learned = DecodedFrames.of(decoding, seen(decoding, masks=20, captures=60, seed=11))
     check = DecodedFrames.of(decoding, seen(decoding, masks=4, captures=60, seed=12))
@@ -176,7 +176,7 @@ def test_a_learned_decoder_sees_more_than_a_linear_one(decoding: SceneDecoding) 
     assert said[-1] == (12, 12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_learned_decoder_learns_nothing_from_directions(decoding: SceneDecoding) -> None:
     victim = make_victim(decoding, FORMS["white"], masks=1000)
 

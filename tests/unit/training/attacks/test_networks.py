@@ -75,7 +75,7 @@ def planted(kind: Kind, family: Family, seed: int) -> Asked:
     return replace(clean, vectors=torch.from_numpy(vectors.astype(np.float32)))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "family"),
     # A network and ten classes: below, and in less time.

@@ -76,7 +76,7 @@ def judge(attacker: object, seen: SeenSets, *, leaks: bool, whole: bool = False)
         assert chance.isf(1 - 1e-4) <= right <= chance.isf(1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "view",
     # Thirty captures unmix few components.

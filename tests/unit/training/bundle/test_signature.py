@@ -124,6 +124,7 @@ def test_a_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Pat
     assert read_bundle(path).owner == OWNER
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "part",
     [

@@ -98,6 +98,7 @@ def test_the_bundle_itself_is_not_overwritten(
     assert bundle.read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_a_bundle_is_exported(bundle: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     result = runner.invoke(app, ["export", str(bundle), "--out", str(tmp_path / "out")])

@@ -36,7 +36,7 @@ def run(*arguments: str | Path) -> str:
     return result.output
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_card_is_written_and_travels(bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "card"
     said = run(bundle, "--quick", "--out", out, "--write", "--seed", "3")

@@ -79,7 +79,7 @@ def test_our_recipes() -> None:
 SIZES = ("24x32", "12x16", "6x8", "3x4")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
 @pytest.mark.parametrize("classifier", ["LR", "FC800", "CNN16"])
 @pytest.mark.parametrize("change", ["none", "shift", "rotate"])

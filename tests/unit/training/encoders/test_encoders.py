@@ -65,7 +65,7 @@ def scenes(colour: bool) -> torch.Tensor:
     return torch.rand(shape, generator=stream(1, "scenes"))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("name", ENCODERS)
 def test_contract(name: str, colour: bool, psf_file: Path) -> None:

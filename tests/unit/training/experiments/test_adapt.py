@@ -169,7 +169,7 @@ def test_measurements_of_another_bundle_and_a_frame_for_pairs_are_refused(bundle
         adapt_bundle(bundle, found, frame=frame)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.numerical
 @pytest.mark.parametrize("mode", ["pairs", "fresh"])
 def test_what_a_daemon_seals_is_read_here_as_there(tmp_path: Path, mode: str) -> None:

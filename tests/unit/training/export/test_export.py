@@ -100,6 +100,7 @@ def test_onnx_runtime_computes_what_the_daemon_does_with_every_kind_of_layer() -
     }
 
 
+@pytest.mark.thorough
 def test_a_model_is_valid_whole_and_the_same_again() -> None:
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxscript")
@@ -120,6 +121,7 @@ def pairs() -> Bundle:
     return dataclasses.replace(bundle, pairs=bundle.pairs[:2])
 
 
+@pytest.mark.thorough
 def test_a_bundle_of_pairs_is_written_classifier_by_classifier(
     pairs: Bundle, tmp_path: Path
 ) -> None:
@@ -203,6 +205,7 @@ def test_the_interval_is_wilsons(right: int, count: int, low: float, high: float
     assert found == pytest.approx((low, high), abs=5e-5)
 
 
+@pytest.mark.thorough
 def test_a_folder_that_cannot_be_and_a_missing_package_are_one_line(
     pairs: Bundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,7 +33,7 @@ def linked(release: ReleaseRule) -> CardRow:
     return judge([linkage(study)], "white", quick=True)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_card_of_raw_captures_fails_where_white_passes() -> None:
     leaking, present = linked(raw), linked(white)
     assert (leaking.threat, leaking.outcome) == ("T9", "FAIL")

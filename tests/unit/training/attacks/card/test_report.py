@@ -65,7 +65,7 @@ def figure(card: PrivacyCard, threat: str) -> float:
     return next(row.figure for row in card.rows if row.threat == threat)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_attack_wins_behind_masks_that_come_again(leaking: Made) -> None:
     card, _ = leaking
     assert (card.mode, card.form, card.outcome) == ("pairs3", "raw", "NOT CLAIMED")
@@ -79,7 +79,7 @@ def test_every_attack_wins_behind_masks_that_come_again(leaking: Made) -> None:
     assert {row.outcome for row in card.rows[1:]} == {"NOT CLAIMED"}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_no_attack_beats_chance_behind_fresh_white_ones(closed: Made) -> None:
     card, _ = closed
     assert (card.mode, card.form) == ("fresh", "white")

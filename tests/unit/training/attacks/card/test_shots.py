@@ -27,7 +27,7 @@ def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
     return ciphertext_only(study), this_mask(study)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -41,7 +41,7 @@ def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
     assert "adjusted Rand index" in unknown.notes[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_nothing_is_looked_for_where_captures_are_sealed() -> None:
     unknown, known = attacked(make_fresh(), "sealed")
     for found in (unknown, known):
