@@ -51,7 +51,7 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_factored_closed_forms.py::test_two_slits_through_the_transfer_operator",
     ),
     "energy": (
-        "unit/optics/propagation/test_propagation.py::test_energy_is_conserved_exactly_when_periodic",  # noqa: E501
+        "unit/optics/propagation/test_propagation.py::test_energy_is_conserved_exactly_when_periodic",
         "unit/optics/transfer/test_grid.py::test_energy_is_kept_by_propagation",
         "unit/optics/transfer/test_grid.py::test_power_through_the_mask_is_exact",
         "contracts/test_factored_closed_forms.py::test_energy_of_the_field",
@@ -66,7 +66,7 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
         "unit/optics/transfer/test_grid.py::test_scene_shift_moves_the_image_the_other_way",
         "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_field",
         "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_transfer",
-        "contracts/test_factored_closed_forms.py::test_a_scene_pixel_further_is_an_embedding_pixel_back",  # noqa: E501
+        "contracts/test_factored_closed_forms.py::test_a_scene_pixel_further_is_an_embedding_pixel_back",
     ),
 }
 """Closed forms of diffraction theory, and where each is tested; tolerances stand in the tests."""
@@ -77,7 +77,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
     ),
     "colour and wavelength swapped": (
-        "unit/optics/test_incumbent_defects.py::test_each_colour_is_propagated_at_its_own_wavelength",  # noqa: E501
+        "unit/optics/test_incumbent_defects.py::test_each_colour_is_propagated_at_its_own_wavelength",
         "contracts/test_defects.py::test_each_colour_has_its_own_wavelength",
     ),
     "apertures floored to whole samples": (
@@ -85,7 +85,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_defects.py::test_open_area_is_exact",
     ),
     "weights outside [0, 1] get no gradient": (
-        "unit/optics/test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",  # noqa: E501
+        "unit/optics/test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",
         "contracts/test_defects.py::test_weights_at_the_ends_do_not_die",
     ),
     "more signal to noise than asked for": (
@@ -111,7 +111,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_defects.py::test_six_bits_of_the_wire_are_modelled",
     ),
     "options that do nothing": (
-        "unit/optics/test_incumbent_defects.py::test_every_option_of_the_angular_spectrum_does_something",  # noqa: E501
+        "unit/optics/test_incumbent_defects.py::test_every_option_of_the_angular_spectrum_does_something",
         "contracts/test_defects.py::test_every_option_of_the_transfer_operator_does_something",
         "contracts/test_defects.py::test_every_option_of_the_other_paths_does_something",
     ),
@@ -120,7 +120,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_phases.py::test_angular_spectrum_transfer",
     ),
     "float32 kernels under complex128": (
-        "unit/optics/test_incumbent_defects.py::test_double_precision_meets_no_single_precision_kernel",  # noqa: E501
+        "unit/optics/test_incumbent_defects.py::test_double_precision_meets_no_single_precision_kernel",
         "contracts/test_contracts.py::test_contract",
     ),
     "NaN gradient at the evanescent edge": (
