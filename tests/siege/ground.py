@@ -56,7 +56,8 @@ class Extent:
     more: int = 5
     """Requests of the caller with every scope, for one of another."""
     whole: bool = True
-    """Whether they meet the demo's bundles, not small ones, and a sensor that sees nothing."""
+    """Whether callers of each scope send them, to daemons of each form of release, with the demo's
+    bundles and with a sensor that sees nothing."""
     files: int = 10_000
     """Mutated bundles."""
     live: int = 1000
