@@ -31,7 +31,7 @@ from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from schemathesis.core.result import Ok
 from tests.siege.ground import SERVE, UNHINDERED, Ground, Judgement
 from tests.siege.leaks import Planted
-from tests.siege.samples import fresh_bundle
+from tests.siege.samples import fresh_bundle, written
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
@@ -46,7 +46,7 @@ from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.audit import DONE, REFUSED
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
-from veilcam_training.bundle import read_bundle, write_bundle
+from veilcam_training.bundle import read_bundle
 
 EVENTS, LISTENED = 2048, 0.5
 """Longest part of an event stream that is read [bytes, s]."""
@@ -303,8 +303,7 @@ def ask_daemon(ground: Ground, release: Release) -> tuple[Findings, list[str]]:
     if ground.extent.whole:
         given["bundle"] = BUNDLE if release == "raw" else FRESH
     elif release != "raw":
-        given["bundle"] = ground.folder / f"{release}.veilcam"
-        write_bundle(given["bundle"], fresh_bundle())
+        given["bundle"] = written(ground.folder / f"{release}.veilcam", fresh_bundle())
     given |= {"settle": 0.0, "exposure": 0.0, "rotation": EverySeconds(seconds=10.0), **UNHINDERED}
     given |= {"release": release, "scene_api": True, "log_level": "debug", "heartbeat": 0.2}
     settings = ground.settings(f"api-fuzz-{release}", **given)

@@ -1,4 +1,4 @@
-"""Bundles of a small window before a small sensor, whose light is simulated in milliseconds, and a fresh one of any."""
+"""Bundles of a small window and sensor, whose light takes milliseconds, and a fresh one of any."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def fresh_bundle(
     return replace(stored, camera=camera, embedding=embedding, mode="fresh", pairs=(), fresh=fresh)
 
 
-def write_small_bundle(path: Path, task: str) -> Path:
-    """Write a small bundle of stored masks."""
-    write_bundle(path, small_bundle(task))
+def written(path: Path, bundle: Bundle) -> Path:
+    """Write a bundle; return its path."""
+    write_bundle(path, bundle)
     return path
