@@ -72,8 +72,6 @@ GROWTH = 20.0
 """Most growth of memory after that [MB]."""
 FAULTS = 0.1
 """Share of captures that meet a fault."""
-EVERY = 2000
-"""Captures of one engine."""
 KNOWN = (DeviceError, FenceError, NotReadyError)
 
 
@@ -129,7 +127,6 @@ class Rig:
         *,
         tell: Callable[[Levels], None],
         form: Release,
-        granted: float,
     ) -> None:
         self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
         # Random faults come in a row, too, and nobody waits here for another attempt.
@@ -168,7 +165,7 @@ class Rig:
             shape,
             light,
             budget=budget,
-            fence=Fence(granted, TIMEOUT),
+            fence=Fence(SETTLE, TIMEOUT),
             policy=EveryCaptures(captures=1),
         )
 
@@ -207,7 +204,7 @@ class Outcome:
         mixed: measurements of another mask than their own, or of a mixture.
         errors: errors that the daemon knows.
         lost: captures that ended neither in a measurement, which its receiver could open, nor in
-            such an error.
+            such an error; accusations of the panel, which hides, among them.
         epochs: names of the epochs of all measurements.
         masks: digests of all masks that were shown, but for those that were put back.
         growth: growth of resident memory after the warm-up [MB].
@@ -275,8 +272,7 @@ def soak(
     captures: int,
     *,
     faults: float = FAULTS,
-    granted: float = SETTLE,
-    every: int = EVERY,
+    every: int = 2000,
 ) -> Outcome:
     """Take captures on hardware that fails, over engines that are stopped and started."""
     receiver, outcome, forms = ReceiverKey.generate(), Outcome(), itertools.cycle(FORMS)
@@ -287,7 +283,7 @@ def soak(
 
     warm, done = 0.0, 0
     while done < captures:
-        rig = Rig(directory, receiver.public, form=next(forms), granted=granted, tell=tell)
+        rig = Rig(directory, receiver.public, form=next(forms), tell=tell)
         ended = threading.Event()
         meddler = threading.Thread(target=rig.meddle, args=(ended,))
         meddler.start()

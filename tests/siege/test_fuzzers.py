@@ -32,6 +32,7 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture
 from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.devices.simulated.panel import Crystal
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.sealing.identity import KEY_NAME, DeviceKey
 from veilcam_server.settings import Settings
@@ -239,8 +240,23 @@ def test_soak_counts_faults_as_errors_and_starts_engines_again(tmp_path: Path) -
     assert outcome.mixed == outcome.reused == outcome.lost == 0
 
 
-def test_soak_notices_a_fence_without_settling(tmp_path: Path) -> None:
-    assert soak.soak(tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
+def test_soak_notices_light_of_another_mask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shifted(_: object, weights: Any) -> Any:
+        return (weights[1:9, :8].double(),)
+
+    monkeypatch.setattr(soak.CornerLight, "response", shifted)
+    outcome = soak.soak(tmp_path, 5, faults=0.0)
+    assert outcome.mixed == outcome.captures == 5
+
+
+def test_soak_notices_a_panel_that_settles_too_slowly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(soak, "CRYSTAL", Crystal(scan=5e-4, settle=0.02))
+    outcome = soak.soak(tmp_path, 10, faults=0.0)
+    assert outcome.mixed + outcome.lost > 0  # the guard accuses most of them
 
 
 def test_soak_notices_keys_and_names_that_come_again(
