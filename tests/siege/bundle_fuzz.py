@@ -25,7 +25,7 @@ from tests.siege.client import Address
 from tests.siege.daemon import child
 from tests.siege.ground import UNHINDERED, Ground, Judgement, make_tokens
 from tests.siege.mutations import kind, mutated
-from tests.siege.samples import fresh_bundle, small_bundle
+from tests.siege.samples import fresh_bundle, small_bundle, written
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.rotation import RotationOff
@@ -34,7 +34,7 @@ from veilcam_server.errors import BundleInvalidError, BundleUnfitError, Inferenc
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
-from veilcam_training.bundle import Bundle, read_bundle, write_bundle
+from veilcam_training.bundle import Bundle, read_bundle
 
 KEY = EpochKey(bytes(32), device="0f" * 32, bundle="0f" * 32)
 SLOW = 10.0
@@ -193,11 +193,9 @@ async def fuzzed(ground: Ground, judgement: Judgement) -> None:
     """Look for files that crash, hang, fill the memory, or change what runs."""
     extent, work = ground.extent, ground.folder
     settings = ground.settings("bundle-fuzz", rotation=RotationOff(), **UNHINDERED)
-    data = list[bytes]()
-    for bundle in (small_bundle(), fresh_bundle()):
-        write_bundle(settings.bundle, bundle)
-        data.append(settings.bundle.read_bytes())
-    settings.bundle.write_bytes(data[0])
+    # The last one stays, for the daemon.
+    bundles = (fresh_bundle(), small_bundle())
+    data = [written(settings.bundle, bundle).read_bytes() for bundle in bundles]
     failures, seeds = list[str](), range(extent.files)
     outcome = try_all(seeds, data, work)
     [token] = make_tokens(settings, ("owner",))

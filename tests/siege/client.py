@@ -97,9 +97,10 @@ class Address:
         """Return the JSON of ``/v1/NAME``."""
         return (await self.ask("GET", f"/v1/{name}")).json()
 
-    async def upload(self, bundle: bytes) -> Reply:
-        """Install a bundle."""
-        return await self.ask("POST", "/v1/bundles", bundle, {"Content-Type": BUNDLE_MEDIA_TYPE})
+    async def upload(self, bundle: bytes, patience: float = PATIENCE) -> Reply:
+        """Install a bundle within ``patience`` [s]."""
+        kind = {"Content-Type": BUNDLE_MEDIA_TYPE}
+        return await self.ask("POST", "/v1/bundles", bundle, kind, patience=patience)
 
 
 @cache

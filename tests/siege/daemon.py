@@ -1,7 +1,4 @@
-"""Daemons under siege: processes of their own, forked from one that has loaded everything.
-
-This module is imported before a daemon's clock is set: it imports nothing that looks at a clock.
-"""
+"""Daemons under siege: processes of their own, forked from one that has loaded everything."""
 
 from __future__ import annotations
 
@@ -14,12 +11,10 @@ import pkgutil
 import resource
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
@@ -44,18 +39,18 @@ _MS_REC, _MS_PRIVATE = 0x4000, 0x4_0000
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["veilcam_server.daemon", "veilcam_server.devices.simulated.device", "tests.siege.attacker"]
+    [
+        *("tests.siege.clock", "veilcam_server.daemon", "veilcam_server.devices.simulated.device"),
+        "tests.siege.attacker",
+    ]
 )
-SPAWN = multiprocessing.get_context("spawn")
 
 
 @contextmanager
-def child(
-    target: Callable[..., None], *given: object, context: BaseContext = FORKS
-) -> Iterator[tuple[BaseProcess, Connection]]:
+def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BaseProcess, Connection]]:
     """Yield a process that runs ``target(connection, *given)``, and the end to hear it; kill it."""
-    hear, tell = context.Pipe(duplex=False)
-    process: BaseProcess = context.Process(target=target, args=(tell, *given))  # type: ignore[attr-defined]
+    hear, tell = FORKS.Pipe(duplex=False)
+    process = FORKS.Process(target=target, args=(tell, *given))
     process.start()
     tell.close()
     try:
@@ -74,7 +69,7 @@ class Circumstances:
         log: file or device of its log; beside its state by default.
         disk: size of a disk under state and log that it alone sees [bytes]; None for none.
         full: whether that disk is full before the start.
-        clock: shift of its wall clock [s], which may jump. Such a daemon starts slowly.
+        clock: shift of its wall clock [s], which may jump.
     """
 
     log: Path | None = None
@@ -119,10 +114,8 @@ def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[D
     Raises:
         StartError: it did not start, for its own reason.
     """
-    # Only modules that are imported later take another clock.
-    context: BaseContext = FORKS if around.clock is None else SPAWN
     log = around.log or settings.state_dir.with_name("veilcamd.log")
-    with child(_live, serve, settings, around, log, context=context) as (process, told):
+    with child(_live, serve, settings, around, log) as (process, told):
         try:
             url = told.recv() if told.poll(START_LIMIT) else StartError("it does not listen")
         except EOFError:
@@ -157,9 +150,9 @@ def _live(
         descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         os.dup2(descriptor, sys.stdout.fileno())
         os.dup2(descriptor, sys.stderr.fileno())
-        if around.clock is not None:
-            right, clock = time.time, around.clock
-            time.time = lambda: right() + clock.value
+        from tests.siege import clock  # here alone: it replaces the clock of whoever loads it
+
+        clock.shift = around.clock
         logs.configure(settings.log_level)
         run: Any = pkgutil.resolve_name(serve)
         run(settings, tell.send)

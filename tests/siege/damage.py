@@ -6,13 +6,11 @@ import asyncio
 import random
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
 from tests.siege.client import Address
-from tests.siege.daemon import Daemon
 from tests.siege.ground import (
     Extent,
     Ground,
@@ -44,40 +42,15 @@ Trial: TypeAlias = tuple[str, tuple[Path, ...], Callable[[bytes], bytes]]
 """Name, paths in the state directory, and damage to their content."""
 
 
-@dataclass
-class Outcome:
-    """Faults of all trials, by kind; each names its trial.
-
-    Attributes:
-        kept: values that clients know and may rely on, by name.
-        shown: names of all epochs that were shown.
-    """
-
-    kept: Mapping[str, object]
-    shown: Sequence[str]
-    refused: list[str] = field(default_factory=list)
-    silent: list[str] = field(default_factory=list)
-    still: list[str] = field(default_factory=list)
-    again: list[str] = field(default_factory=list)
-    beyond: list[str] = field(default_factory=list)
-
-    async def compare(self, trial: str, daemon: Daemon, settings: Settings) -> None:
-        """Compare a daemon that was started on damaged state with what clients know."""
-        if (await daemon.address.ask("GET", "/v1/status")).status == 401:
-            # Nobody is let in; the owner makes a token, as at the very first start.
-            [token] = make_tokens(settings, ("owner again",))
-            daemon.address = daemon.address.with_token(token)
-        address = daemon.address
-        faults, after = (await address.get("diagnostics"))["faults"], await _kept(address)
-        changed = [name for name, value in self.kept.items() if after[name] != value]
-        if changed and not faults:
-            self.silent.append(f"{trial}: {', '.join(changed)}")
-        if still := await standing_still(address):
-            self.still.append(f"{trial}: {', '.join(still)}")
-        if (await address.ask("POST", "/v1/captures")).status == 200:
-            self.beyond.append(trial)
-        if set(self.shown) & set(await epochs(address, 1)):
-            self.again.append(trial)
+BARS = {
+    "starts refused": "starts_refused",
+    "silent roll-backs": "silent_rollbacks",
+    "with a task that stands still": "",
+    "epochs shown again": "",
+    "embeddings beyond the budget": "",
+}
+"""Faults of trials, none of which may be, each with its figure."""
+REFUSED, SILENT, STILL, AGAIN, BEYOND = BARS
 
 
 async def damaged_state(ground: Ground, judgement: Judgement) -> None:
@@ -87,9 +60,10 @@ async def damaged_state(ground: Ground, judgement: Judgement) -> None:
     state, pristine = settings.state_dir, settings.state_dir.with_name("pristine")
     [token] = make_tokens(settings, ("owner",))
     with ground.start(settings, token) as daemon:
-        outcome = await _first_life(daemon.address, settings)
+        kept, shown = await _first_life(daemon.address, settings)
     shutil.copytree(state, pristine)
     trials = sample(list(all_trials(pristine, ground.extent.flips)), ground.extent)
+    wrong: dict[str, list[str]] = {bar: [] for bar in BARS}
     for name, paths, damage in trials:
         shutil.rmtree(state)
         shutil.copytree(pristine, state)
@@ -97,22 +71,38 @@ async def damaged_state(ground: Ground, judgement: Judgement) -> None:
             (state / path).write_bytes(damage((state / path).read_bytes()))
         try:
             with ground.start(settings, token) as daemon:
-                await outcome.compare(name, daemon, settings)
+                faults = await _faults(daemon.address, settings, kept, shown)
         except StartError as error:
-            outcome.refused.append(f"{name}: {str(error).replace(f'{state}/', '')}")
+            faults = {REFUSED: str(error).replace(f"{state}/", "")}
+        for bar, fault in faults.items():
+            wrong[bar].append(f"{name}: {fault}")
     judgement.figures["state_faults_tried"] = len(trials)
-    for what, wrong, figure in (
-        ("starts refused", outcome.refused, "starts_refused"),
-        ("silent roll-backs", outcome.silent, "silent_rollbacks"),
-        ("with a task that stands still", outcome.still, ""),
-        ("epochs shown again", outcome.again, ""),
-        ("embeddings beyond the budget", outcome.beyond, ""),
-    ):
-        judgement.none(f"{what} of {len(trials)}", wrong, figure)
+    for bar, figure in BARS.items():
+        judgement.none(f"{bar} of {len(trials)}", wrong[bar], figure)
 
 
-async def _first_life(address: Address, settings: Settings) -> Outcome:
-    """Let a daemon have everything that it can remember."""
+async def _faults(
+    address: Address, settings: Settings, kept: Mapping[str, object], shown: Sequence[str]
+) -> dict[str, str]:
+    """Return the faults of a daemon that was started on damaged state, each with its bar."""
+    if (await address.ask("GET", "/v1/status")).status == 401:
+        # Nobody is let in; the owner makes a token, as at the very first start.
+        [token] = make_tokens(settings, ("owner again",))
+        address = address.with_token(token)
+    told, after = (await address.get("diagnostics"))["faults"], await _kept(address)
+    changed = [name for name, value in kept.items() if after[name] != value]
+    beyond = (await address.ask("POST", "/v1/captures")).status == 200
+    found = {
+        SILENT: [] if told else changed,
+        STILL: await standing_still(address),
+        AGAIN: set(shown) & set(await epochs(address, 1)),
+        BEYOND: ["one"] if beyond else [],
+    }
+    return {bar: ", ".join(fault) for bar, fault in found.items() if fault}
+
+
+async def _first_life(address: Address, settings: Settings) -> tuple[dict[str, object], list[str]]:
+    """Let a daemon have everything that it can remember; return that, and the epochs shown."""
     digest = (await address.upload(second_bundle(settings))).json()["digest"]
     await pair(address, "archive", ReceiverKey.generate().public)
     await _spend(address)
@@ -127,7 +117,7 @@ async def _first_life(address: Address, settings: Settings) -> Outcome:
     await address.ask("POST", "/v1/tokens", {"label": "lamp", "scopes": ["classify"]})
     await address.ask("POST", "/v1/classifications", {})
     shown = await epochs(address, 3)
-    return Outcome(await _kept(address), shown)
+    return await _kept(address), shown
 
 
 async def _spend(address: Address) -> None:

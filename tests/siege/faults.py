@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from tests.siege.daemon import SPAWN, Circumstances, Daemon, NoDiskError, fill
+from tests.siege.daemon import FORKS, Circumstances, Daemon, NoDiskError, fill
 from tests.siege.ground import (
     Ground,
     Judgement,
@@ -68,7 +68,7 @@ async def clock_back(ground: Ground, judgement: Judgement) -> None:
     """Set the clock back by a year while a daemon runs; start one there; put it right."""
     settings = ground.settings("clock")
     [token] = make_tokens(settings, ("owner",))
-    clock = SPAWN.Value("d", 0.0)
+    clock = FORKS.Value("d", 0.0)
     seen: list[str] = []
     for life, jump in enumerate((-YEAR, 0.0, -YEAR)):
         with ground.start(settings, token, Circumstances(clock=clock)) as daemon:

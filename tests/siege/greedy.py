@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from tests.siege.client import Address, Reply
 from tests.siege.ground import UNHINDERED, Ground, Judgement, busy, make_tokens, second_bundle
-from tests.siege.samples import PAIRS
+from tests.siege.samples import PAIRS, fresh_bundle, written
 
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
-from veilcam_server.demo_data import FRESH
 from veilcam_server.settings import Settings
 
 WHITE, RAW = 1, 4
@@ -69,7 +68,8 @@ async def greedy(ground: Ground, judgement: Judgement) -> None:
     """Race for white embeddings of fresh masks, then for raw ones of stored masks."""
     lives = max(3, int(ground.extent.seconds / 6))
     given = {"snr_db": math.inf, **UNHINDERED}
-    white = ground.settings("greedy-white", bundle=FRESH, release="white", **given)
+    fresh = written(ground.folder / "greedy.veilcam", fresh_bundle())
+    white = ground.settings("greedy-white", bundle=fresh, release="white", **given)
     raw = ground.settings("greedy-raw", release="raw", raw_budget=RAW, **given)
     judgement.figures["beyond_budget"] = 0.0
     for form, settings, budget, others, most_lives in (

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 
 from tests.siege.client import Address, Reply, listening
 from tests.siege.daemon import Circumstances, Daemon, started
-from tests.siege.samples import write_small_bundle
+from tests.siege.samples import small_bundle, written
 
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.rotation import EverySeconds
@@ -56,7 +56,8 @@ class Extent:
     more: int = 5
     """Requests of the caller with every scope, for one of another."""
     whole: bool = True
-    """Whether they meet the demo's bundles, not small ones, and a sensor that sees nothing."""
+    """Whether callers of each scope send them, to daemons of each form of release, with the demo's
+    bundles and with a sensor that sees nothing."""
     files: int = 10_000
     """Mutated bundles."""
     live: int = 1000
@@ -158,7 +159,7 @@ class Ground:
         given: dict[str, Any] = {
             "device": "simulated",
             "auth": "tokens",
-            "bundle": write_small_bundle(folder / "bundle.veilcam", "siege"),
+            "bundle": written(folder / "bundle.veilcam", small_bundle("siege")),
             "scenes": (str(scene),),
             "port": 0,
             "state_dir": folder / "disk" / "state",
@@ -226,7 +227,7 @@ def make_tokens(
 
 def second_bundle(settings: Settings, task: str = "second") -> bytes:
     """Return the content of another bundle for the same camera."""
-    return write_small_bundle(settings.bundle.with_name("other.veilcam"), task).read_bytes()
+    return written(settings.bundle.with_name("other.veilcam"), small_bundle(task)).read_bytes()
 
 
 async def tokens_of(address: Address) -> dict[str, bool]:

@@ -1,4 +1,4 @@
-"""Bundles of a small window, whose light is simulated in milliseconds, and a fresh one of any."""
+"""Bundles of a small window and sensor, whose light takes milliseconds, and a fresh one of any."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_server.demo_data import load_digits
@@ -32,7 +32,8 @@ from veilcam_training.bundle.layers import (
 )
 from veilcam_training.models.network import build_untrained, weights_of
 
-CAMERA, SCENE, EMBEDDING = Camera(window=Window(rows=9, columns=5)), Scene(), Embedding(4, 5)
+CAMERA = Camera(window=Window(rows=9, columns=5), sensor=Sensor(rows=760, columns=1014))
+SCENE, EMBEDDING = Scene(height=0.03), Embedding(4, 5)
 FLAT: tuple[LayerRecord, ...] = (
     *(LayerNorm(shape=(20,)), Affine(scale=2.0, offset=0.1), Linear(inputs=20, outputs=16)),
     *(BatchNorm(features=16), GELU(), Dropout(), Linear(inputs=16, outputs=10)),
@@ -91,7 +92,7 @@ def fresh_bundle(
     return replace(stored, camera=camera, embedding=embedding, mode="fresh", pairs=(), fresh=fresh)
 
 
-def write_small_bundle(path: Path, task: str) -> Path:
-    """Write a small bundle of stored masks."""
-    write_bundle(path, small_bundle(task))
+def written(path: Path, bundle: Bundle) -> Path:
+    """Write a bundle; return its path."""
+    write_bundle(path, bundle)
     return path

@@ -15,10 +15,10 @@ import itertools
 import math
 import random
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,7 @@ from tests.siege.samples import fresh_bundle
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import Opener
-from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.keys.receivers import Receiver, ReceiverKey
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.sealing import Release
@@ -43,7 +42,7 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured, Fence, MaskedCapture
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.devices import Device, DeviceError
-from veilcam_server.devices.base import Levels, Measurement, Shown
+from veilcam_server.devices.base import Levels, Shown
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
@@ -55,7 +54,7 @@ from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import FenceError, NotReadyError
 from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.masks.source import Mask, Terms
+from veilcam_server.masks.source import Terms
 from veilcam_server.sealing.identity import DeviceKey
 
 CAMERA, EMBEDDING = Camera(), Embedding(8, 8)
@@ -73,37 +72,13 @@ GROWTH = 20.0
 """Most growth of memory after that [MB]."""
 FAULTS = 0.1
 """Share of captures that meet a fault."""
-EVERY = 2000
-"""Captures of one engine."""
 KNOWN = (DeviceError, FenceError, NotReadyError)
 
 
-class Marked:
-    """Reader that knows the first corner of its mask, also after the mask was erased."""
-
-    def __init__(self, reader: Any, corner: Measurement) -> None:
-        self._reader, self.corner = reader, corner
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._reader, name)
-
-
-class MarkedSource(FreshSource):
-    """Source of masks of the daemon, whose readers can be told apart."""
-
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
-        """Prepare an epoch."""
-        mask = super().make(key, form, avoid)
-        corner = mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(np.float32)
-        return Mask(mask.levels, Marked(mask.reader, corner))
-
-
-class Supply:
-    """Source of masks, and a receiver, of all engines: to build them takes seconds."""
-
-    def __init__(self) -> None:
-        self.source = MarkedSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
-        self.receiver = ReceiverKey.generate()
+@cache
+def fresh_masks() -> FreshSource:
+    """Return the source of masks of all engines, which takes seconds to build."""
+    return FreshSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
 
 
 class CornerLight:
@@ -147,12 +122,11 @@ class Rig:
 
     def __init__(
         self,
-        supply: Supply,
         directory: Path,
+        receiver: Receiver,
         *,
         tell: Callable[[Levels], None],
         form: Release,
-        granted: float,
     ) -> None:
         self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
         # Random faults come in a row, too, and nobody waits here for another attempt.
@@ -174,36 +148,24 @@ class Rig:
             return shown
 
         display.show = told  # type: ignore[method-assign]
-        light = CornerLight()
-        frames_of_light = SimulatedLight(
-            *(self.bus, Scenes((light,)), light),
-            camera=CAMERA,
-            embedding=EMBEDDING,
-            conditions=Conditions(exposure=0.0, snr_db=math.inf),
-            mode=MODE,
-            full_scale=1.1,
-            seed=0,
-        )
-        frames = partial(FakePicamera2, frames_of_light, mode=MODE, faults=self.frames)
-        camera = partial(
-            IMX477,
-            frames,
-            shape=EMBEDDING.shape,
-            mode=MODE,
-            exposures=ExposureRange(0.0),
-            full_scale=1.1,
-        )
+        light, shape = CornerLight(), EMBEDDING.shape
+        optics: dict[str, Any] = {"camera": CAMERA, "embedding": EMBEDDING, "seed": 0}
+        optics |= {"conditions": Conditions(exposure=0.0, snr_db=math.inf)}
+        sensed: dict[str, Any] = {"mode": MODE, "full_scale": 1.1}
+        seen = SimulatedLight(self.bus, Scenes((light,)), light, **optics, **sensed)
+        frames = partial(FakePicamera2, seen, mode=MODE, faults=self.frames)
+        camera = partial(IMX477, frames, shape=shape, exposures=ExposureRange(0.0), **sensed)
         sensor = ReopeningSensor("IMX477", 1.1, camera, clock=unhurried)
         signer, budget = DeviceKey.open(directory), ReleaseBudget(directory, raw=0)
-        terms = Terms(form, (supply.receiver.public,) if form == "sealed" else ())
+        terms = Terms(form, (receiver,) if form == "sealed" else ())
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
             # This light is of no camera that real tests could know.
-            Preparation(supply.source, signer, lambda: terms, budget),
-            EMBEDDING.shape,
+            Preparation(fresh_masks(), signer, lambda: terms, budget),
+            shape,
             light,
             budget=budget,
-            fence=Fence(granted, TIMEOUT),
+            fence=Fence(SETTLE, TIMEOUT),
             policy=EveryCaptures(captures=1),
         )
 
@@ -226,23 +188,11 @@ class Rig:
         self.bus.breaks = self.frames.hangs = 0
         self.camera.stop()
 
-    @contextmanager
-    def meddling(self) -> Iterator[None]:
-        """Change masks by hand meanwhile, about five times a second."""
-        ended = threading.Event()
-
-        def meddle() -> None:
-            while not ended.wait(random.expovariate(5.0)):
-                with suppress(*KNOWN):
-                    self.camera.rotate()
-
-        meddler = threading.Thread(target=meddle)
-        meddler.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            meddler.join()
+    def meddle(self, ended: threading.Event) -> None:
+        """Change masks by hand, about five times a second."""
+        while not ended.wait(random.expovariate(5.0)):
+            with suppress(*KNOWN):
+                self.camera.rotate()
 
 
 @dataclass
@@ -254,7 +204,7 @@ class Outcome:
         mixed: measurements of another mask than their own, or of a mixture.
         errors: errors that the daemon knows.
         lost: captures that ended neither in a measurement, which its receiver could open, nor in
-            such an error.
+            such an error; accusations of the panel, which hides, among them.
         epochs: names of the epochs of all measurements.
         masks: digests of all masks that were shown, but for those that were put back.
         growth: growth of resident memory after the warm-up [MB].
@@ -299,7 +249,6 @@ class Outcome:
     def _judge(self, captured: Captured, opener: Opener) -> None:
         """Answer as a request would, and compare what leaves with the mask."""
         assert isinstance(captured, MaskedCapture)
-        assert isinstance(captured.reader, Marked)
         self.captures += 1
         self.epochs.append(captured.epoch)
         captured.classify()
@@ -314,38 +263,42 @@ class Outcome:
             )
             measured = np.asarray(opener.open(answer).embedding)
         seen = measured * (CAMERA.panel.levels - 1)
-        self.mixed += bool(np.abs(seen - captured.reader.corner).max() > 0.1)
+        corner = captured.active.mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(float)
+        self.mixed += bool(np.abs(seen - corner).max() > 0.1)
 
 
 def soak(
-    supply: Supply,
     directory: Path,
     captures: int,
     *,
     faults: float = FAULTS,
-    granted: float = SETTLE,
-    every: int = EVERY,
+    every: int = 2000,
 ) -> Outcome:
     """Take captures on hardware that fails, over engines that are stopped and started."""
-    outcome, opener, forms = Outcome(), Opener(supply.receiver), itertools.cycle(FORMS)
+    receiver, outcome, forms = ReceiverKey.generate(), Outcome(), itertools.cycle(FORMS)
+    opener = Opener(receiver)
 
     def tell(levels: Levels) -> None:
         outcome.masks.append(hashlib.sha256(levels.tobytes()).digest())
 
     warm, done = 0.0, 0
     while done < captures:
-        rig = Rig(supply, directory, form=next(forms), granted=granted, tell=tell)
+        rig = Rig(directory, receiver.public, form=next(forms), tell=tell)
+        ended = threading.Event()
+        meddler = threading.Thread(target=rig.meddle, args=(ended,))
+        meddler.start()
         try:
             rig.camera.rotate()
-            with rig.meddling():
-                for _ in range(min(every, captures - done)):
-                    if done == int(WARM_UP * captures):
-                        warm = resident()
-                    if random.random() < faults:
-                        rig.break_something()
-                    outcome.attempt(rig, opener)
-                    done += 1
+            for _ in range(min(every, captures - done)):
+                if done == int(WARM_UP * captures):
+                    warm = resident()
+                if random.random() < faults:
+                    rig.break_something()
+                outcome.attempt(rig, opener)
+                done += 1
         finally:
+            ended.set()
+            meddler.join()
             rig.stop()
     outcome.growth = resident() - warm
     return outcome
@@ -355,7 +308,7 @@ async def soaked(ground: Ground, judgement: Judgement) -> None:
     """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
     captures = ground.extent.captures
-    outcome = soak(Supply(), ground.folder / "soak", captures, every=max(20, captures // 10))
+    outcome = soak(ground.folder / "soak", captures, every=max(20, captures // 10))
     for what, count, figure in (
         ("mixed", outcome.mixed, "soak_mixed"),
         ("used again", outcome.reused, "soak_reused"),

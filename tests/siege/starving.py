@@ -170,12 +170,14 @@ async def stalled_upload(ground: Ground, judgement: Judgement) -> None:
     start = head(address.with_token(stalling), "POST", "/v1/bundles", **claims)
     writer.write(start + b"PK")
     await asyncio.sleep(0.5)
-    installed = await address.upload(second_bundle(settings))
+    patience = ground.extent.lingering
+    installed = await address.upload(second_bundle(settings), patience)
     digest = installed.json()["digest"] if installed.status == 201 else "0" * 64
-    activated = await address.ask("POST", f"/v1/bundles/{digest}/activate")
+    path = f"/v1/bundles/{digest}/activate"
+    activated = await address.ask("POST", path, patience=patience)
     dropped = True
     try:
-        async with asyncio.timeout(ground.extent.lingering + 10):
+        async with asyncio.timeout(patience + 10):
             await reader.read()
     except OSError as error:
         dropped = not isinstance(error, TimeoutError)

@@ -22,7 +22,7 @@ from tests.siege import api_fuzz, bundle_fuzz, soak
 from tests.siege.ground import QUICK, Ground
 from tests.siege.leaks import Planted
 from tests.siege.mutations import MUTATIONS, mutated
-from tests.siege.samples import fresh_bundle, small_bundle
+from tests.siege.samples import fresh_bundle, small_bundle, written
 from tests.siege.test_engine import NOTES
 
 import veilcam_server.daemon
@@ -32,10 +32,11 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture
 from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.devices.simulated.panel import Crystal
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.sealing.identity import KEY_NAME, DeviceKey
 from veilcam_server.settings import Settings
-from veilcam_training.bundle import read_bundle, write_bundle
+from veilcam_training.bundle import read_bundle
 
 
 def serve_leaky(settings: Settings, on_listening: Callable[[str], None]) -> None:
@@ -185,11 +186,8 @@ def test_sealed_embedding_is_found_where_it_stands_open() -> None:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
-    path, made = tmp_path_factory.mktemp("bundles") / "a.veilcam", []
-    for bundle in (small_bundle(), fresh_bundle()):
-        write_bundle(path, bundle)
-        made.append(path.read_bytes())
-    return made
+    path = tmp_path_factory.mktemp("bundles") / "a.veilcam"
+    return [written(path, bundle).read_bytes() for bundle in (small_bundle(), fresh_bundle())]
 
 
 def test_seed_gives_the_same_file_again(data: list[bytes]) -> None:
@@ -233,28 +231,36 @@ def test_harm_of_a_bundle_is_noticed(
     assert word in outcome.failures[0]
 
 
-@pytest.fixture(scope="module")
-def supply() -> soak.Supply:
-    random.seed(5)
-    return soak.Supply()
-
-
 @pytest.mark.slow
-def test_soak_counts_faults_as_errors_and_starts_engines_again(
-    supply: soak.Supply, tmp_path: Path
-) -> None:
-    outcome = soak.soak(supply, tmp_path, 80, faults=0.5, every=20)
+def test_soak_counts_faults_as_errors_and_starts_engines_again(tmp_path: Path) -> None:
+    random.seed(5)
+    outcome = soak.soak(tmp_path, 80, faults=0.5, every=20)
     assert outcome.errors > 0
     assert outcome.captures > 40
     assert outcome.mixed == outcome.reused == outcome.lost == 0
 
 
-def test_soak_notices_a_fence_without_settling(supply: soak.Supply, tmp_path: Path) -> None:
-    assert soak.soak(supply, tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
+def test_soak_notices_light_of_another_mask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shifted(_: object, weights: Any) -> Any:
+        return (weights[1:9, :8].double(),)
+
+    monkeypatch.setattr(soak.CornerLight, "response", shifted)
+    outcome = soak.soak(tmp_path, 5, faults=0.0)
+    assert outcome.mixed == outcome.captures == 5
+
+
+def test_soak_notices_a_panel_that_settles_too_slowly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(soak, "CRYSTAL", Crystal(scan=5e-4, settle=0.02))
+    outcome = soak.soak(tmp_path, 10, faults=0.0)
+    assert outcome.mixed + outcome.lost > 0  # the guard accuses most of them
 
 
 def test_soak_notices_keys_and_names_that_come_again(
-    supply: soak.Supply, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     keys, names = itertools.cycle(range(1, 8)), itertools.cycle(range(7))
 
@@ -263,19 +269,19 @@ def test_soak_notices_keys_and_names_that_come_again(
 
     with monkeypatch.context() as patch:
         patch.setattr(EpochKey, "generate", generate)
-        assert soak.soak(supply, tmp_path / "keys", 20, faults=0.0).reused > 0
+        assert soak.soak(tmp_path / "keys", 20, faults=0.0).reused > 0
     drawn = "veilcam_server.camera.epochs.secrets.token_hex"
     monkeypatch.setattr(drawn, lambda _: f"{next(names):032x}")
-    outcome = soak.soak(supply, tmp_path / "names", 20, faults=0.0)
+    outcome = soak.soak(tmp_path / "names", 20, faults=0.0)
     assert outcome.reused > 0
     assert outcome.lost > 0  # the receiver, too, refuses what comes again
 
 
 def test_soak_counts_an_unknown_exception_as_lost(
-    supply: soak.Supply, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(MaskedCamera, "capture", fail)
-    assert soak.soak(supply, tmp_path, 3, faults=0.0).lost == 3
+    assert soak.soak(tmp_path, 3, faults=0.0).lost == 3
