@@ -10,7 +10,6 @@ from veilcam_training.attacks.metrics import (
     auc,
     mean_picture_advantage,
     psnr,
-    rank_one,
     ssim,
     true_accept_rate,
 )
@@ -58,11 +57,6 @@ def test_a_range_of_nothing_is_refused() -> None:
 
 def test_the_area_counts_ties_by_half() -> None:
     assert auc(torch.tensor([1.0, 1.0, 0.0, 2.0]), torch.tensor([0, 1, 0, 1])) == 0.875
-
-
-def test_rank_one_counts_ties_by_their_share() -> None:
-    distances = torch.tensor([[0.0, 1.0, 2.0], [1.0, 1.0, 5.0], [0.0, 3.0, 4.0]])
-    assert rank_one(distances, torch.tensor([0, 1, 2])) == pytest.approx((1 + 0.5 + 0) / 3)
 
 
 def test_the_accept_rate_of_two_normals_is_that_of_their_distributions() -> None:

@@ -22,7 +22,6 @@ from veilcam_training.attacks.sets import (
     gram,
     independent,
     moments,
-    of_whole,
 )
 
 PIXELS, CAPTURES, SETS = 12, 30, 160
@@ -65,7 +64,7 @@ def judge(attacker: object, seen: SeenSets, *, leaks: bool, whole: bool = False)
         found = scores(parts[2].captures)
     answers = parts[2].labels
     if whole:
-        found = found if found.ndim == 2 else of_whole(found)
+        found = found if found.ndim == 2 else found.log_softmax(2).sum(1)
         answers = answers[:, 0]
     right = int((found.argmax(-1) == answers).sum())
     chance = binom(answers.numel(), 1 / CLASSES)
