@@ -10,10 +10,7 @@ import torch
 from benchmarks.accuracy.field_job import FieldJob
 from benchmarks.accuracy.measure import Setting, measure
 from benchmarks.accuracy.transfer_job import TransferJob
-from benchmarks.peers import accuracy, waveprop_peer
-
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.errors import OpticsError
+from benchmarks.peers import accuracy
 
 PEERS = accuracy.PEERS
 
@@ -33,11 +30,6 @@ def test_peers_solve_the_same_problem(peer):  # type: ignore[no-untyped-def]
     assert max(errors) < 5e-2
 
 
-def test_waveprop_is_used_with_even_samples_only() -> None:
-    with pytest.raises(OpticsError, match="even"):
-        waveprop_peer.WavepropCamera(Camera(), Scene(), Embedding(), samples=(380, 507))
-
-
 def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     """Inversion, colours and scale agree: what is left is its sampling of the mask."""
     peer = next(peer for peer in PEERS if peer.name == "waveprop")
@@ -48,7 +40,7 @@ def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
 
 
-def test_peers_join_our_settings_and_say_why_they_do_not() -> None:
+def test_peers_join_the_chart_and_say_why_they_do_not() -> None:
     def nothing(_: object) -> Iterator[Setting]:
         return iter(())
 

@@ -10,7 +10,6 @@ from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
 from benchmarks.accuracy.geometric import GeometricShadow
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import Propagator
 from veilcam_optics.propagation.sampling import Grid
 
@@ -66,9 +65,3 @@ def test_support_says_why_not() -> None:
     assert "undersampled" in RayleighSommerfeld().supports(near, near, 1e-5, WAVELENGTH).reason
     fine = Grid.square(64, 64, 0.5e-6)
     assert "paraxial" in FresnelTransfer().supports(fine, fine, 2e-5, WAVELENGTH).reason
-
-
-def test_sum_of_too_many_pairs_is_refused() -> None:
-    grid = Grid.square(4, 4, 5e-6)
-    with pytest.raises(OpticsError, match="too large"):
-        RayleighSommerfeld(largest=100).prepare(grid, grid, 1e-3, WAVELENGTH)
