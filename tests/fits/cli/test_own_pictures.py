@@ -62,7 +62,10 @@ def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> Non
     assert call("draw", shapes, "--count", 200) == 0
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
-    config.write_text('embedding = "6x8"\nclassifier = "CNN2"\nrank = 20\nvalidation_masks = 4')
+    config.write_text(
+        'embedding = "6x8"\nclassifier = "CNN2"\nrank = 9\nvalidation_masks = 4\n'
+        "[misalignment]\npanels = 2"
+    )
     options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
     assert call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out) == 0
     bundle = read_bundle(out)

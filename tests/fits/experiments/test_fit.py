@@ -117,6 +117,7 @@ def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResul
 
 # --- how far its transfer is from full reach
 
+
 @pytest.fixture(autouse=True)
 def transfer_check() -> None:
     """Leave the check of a transfer as it is."""

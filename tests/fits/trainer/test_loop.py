@@ -41,8 +41,8 @@ def settings(recipe: Recipe = SMALL, **changes: Any) -> Settings:
 
 def fresh(**changes: Any) -> FreshSettings:
     small: dict[str, Any] = {
-        "embedding": "6x8",
-        "rank": 40,
+        "embedding": "3x4",
+        "rank": 20,
         "misalignment": Misalignment(panels=2),
         "classifier": "CNN4",
         "epochs": 3,
@@ -51,7 +51,7 @@ def fresh(**changes: Any) -> FreshSettings:
         "renewed": 2,
         "rate": 1e-2,
         "averaging": 0.9,
-        "validation_masks": 10,
+        "validation_masks": 4,
     }
     return FreshSettings(**{**small, **changes})
 
@@ -77,9 +77,12 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return open_source("mnist", write_digits(tmp_path_factory.mktemp("few"), 300, 100, packed=True))
 
 
+ONCE = SMALL.model_copy(update={"epochs": 1})
+
+
 @pytest.fixture(scope="module")
 def reference(few: Source) -> Fit:
-    return run(few, settings())
+    return run(few, settings(ONCE))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +104,8 @@ def test_it_learns(source: Source, encoder: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
+    ("chosen", "other"),
+    [(settings(), settings(seed=1)), (fresh(epochs=1), fresh(epochs=1, seed=1))],
 )
 def test_the_same_seed_gives_the_same_result(
     few: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
@@ -150,28 +154,19 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
         {"snr_db": 20.0},
         {"snr_db": None},
         {"normalisation": "shared"},
+        {"classifier": "FC20"},
+        {"embedding": "3x4"},
+        {"binning": "point"},
     ],
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items()),
 )
 def test_every_option_changes_the_result(
     few: Source, reference: Fit, changes: dict[str, Any]
 ) -> None:
-    changed = run(few, settings(SMALL.model_copy(update=changes)))
-    before, after = weights_of(reference), weights_of(changed)
+    recipe = ONCE.model_copy(update={k: v for k, v in changes.items() if hasattr(ONCE, k)})
+    others = {k: v for k, v in changes.items() if not hasattr(ONCE, k)}
+    before, after = weights_of(reference), weights_of(run(few, settings(recipe, **others)))
     assert before.shape != after.shape or not torch.equal(before, after)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"binning": "point"}]
-)
-def test_every_setting_changes_the_result(
-    few: Source, reference: Fit, changes: dict[str, Any]
-) -> None:
-    after = weights_of(run(few, settings(**changes)))
-    assert after.shape != weights_of(reference).shape or not torch.equal(
-        after, weights_of(reference)
-    )
 
 
 @pytest.mark.slow
@@ -179,7 +174,7 @@ def test_every_setting_changes_the_result(
     "changes",
     [
         {"exponent": 4.0},
-        {"rank": 20},
+        {"rank": 10},
         {"snr_db": 20.0},
         {"misalignment": None},
         {"misalignment": Misalignment(shift=5e-5, panels=2)},
@@ -200,7 +195,7 @@ def test_every_setting_changes_the_result(
         {"bfloat16": False},
         {"spread": 0.4},
         {"seed": 1},
-        {"validation_masks": 20},
+        {"validation_masks": 8},
     ],
     ids=lambda changes: "-".join(map(str, changes)),
 )
@@ -331,7 +326,6 @@ class StopAfter:
     "chosen",
     [
         settings(),
-        settings(encoder="fixed_simulated", classifier="FC20"),
         settings(SMALL.model_copy(update={"normalisation": "white"}), classifier="FC20"),
         settings(
             SMALL.model_copy(
@@ -345,10 +339,9 @@ class StopAfter:
             classifier="FC20",
             change="rotate",
         ),
-        fresh(),
         fresh(spread=0.3),
     ],
-    ids=["plain", "fixed", "white", "everything", "fresh", "fresh ranges"],
+    ids=["plain", "white", "everything", "fresh ranges"],
 )
 def test_resumed_is_the_same_as_unbroken(
     few: Source, tmp_path: Path, chosen: Settings | FreshSettings
@@ -382,7 +375,7 @@ from veilcam_training.experiments.fit import run_fit
 
 class Kill:
     def step(self, epoch, done, steps):
-        if (epoch, done) == (2, 3):
+        if (epoch, done) == (1, 3):
             os.kill(os.getpid(), signal.SIGKILL)
     def epoch(self, epoch):
         pass
@@ -395,13 +388,14 @@ run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kil
 
 @pytest.mark.slow
 def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: Path) -> None:
-    chosen, path = settings(), tmp_path / "fit.checkpoint"
+    recipe = SMALL.model_copy(update={"epochs": 2})
+    chosen, path = settings(recipe), tmp_path / "fit.checkpoint"
     arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]
     killed = subprocess.run([sys.executable, "-c", KILLED, *arguments], check=False)
     assert killed.returncode == -signal.SIGKILL
     saved = checkpoints.load_checkpoint(path, chosen.fingerprint(source))
     assert saved is not None
-    assert len(saved["history"]) == 2
+    assert len(saved["history"]) == 1
     resumed = run_fit(chosen, source, Camera(), checkpoint=path)
     unbroken = run_fit(chosen, source, Camera())
     assert torch.equal(weights_of(resumed.fit), weights_of(unbroken.fit))
