@@ -55,7 +55,7 @@ def test_planted_digits_become_figures(bundle_file: Path, tmp_path: Path) -> Non
 def test_past_of_a_daemon_that_is_taken_is_closed(bundle_file: Path, tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     # It raises where not even the epoch that goes on is found.
-    served.past(captures=12, step=8, bundle=bundle_file, figures=figures)
+    served.past(captures=6, step=16, bundle=bundle_file, figures=figures)
     found = figures_of(figures)
     assert found["past_opened"] == 0
     assert found["past_levels_found"] == found["past_rotation_found"] == 0

@@ -35,6 +35,7 @@ from benchmarks.paper.results import (
 )
 from typer.testing import CliRunner, Result
 
+from veilcam_optics.plan.check import Check
 from veilcam_training.bundle import read_bundle
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
@@ -110,6 +111,8 @@ def test_quick_table_is_run_once_and_reported(
 ) -> None:
     work, figures, out = tmp_path / "work", tmp_path / "figures.json", tmp_path / "report"
     options = ("--quick", "--encoders", "learned,digital", "--binnings", "area", "--seeds", 2)
+    checked = Check(1e-4, 5e-5, 2e-4, 0.9, 16)
+    monkeypatch.setattr("veilcam_training.experiments.fit.check", lambda *_, **__: checked)
     # A clock on which every cell takes four minutes.
     clock = time.time()
     with monkeypatch.context() as patch:

@@ -128,20 +128,18 @@ def require_uniform(directions: Tensor) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["scene", "brighter", "dark", "mean", "nan"])
+@pytest.mark.parametrize("what", ["scene", "dark", "nan"])
 def test_over_fresh_rotations_a_direction_is_uniform_whatever_was_seen(
     decoding: SceneDecoding, what: str
 ) -> None:
     decoder, measurements = make(decoding, "a", count=1)
     seen = {
         "scene": measurements,
-        "brighter": 3 * measurements,
         "dark": torch.zeros_like(measurements),
-        "mean": decoder.mean_measurement.reshape(1, *EMBEDDING.shape),
         "nan": torch.full_like(measurements, torch.nan),
     }[what]
     directions = torch.cat(
-        [Whitening(decoder, key_of(f"{what} {i}")).whiten(seen) for i in range(3000)]
+        [Whitening(decoder, key_of(f"{what} {i}")).whiten(seen) for i in range(1000)]
     )
     require_length_one(directions)
     require_uniform(directions)

@@ -15,6 +15,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
+from veilcam_optics.plan import check as checking
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.check import CONFIDENCE, FullField, chances_of, estimate
 from veilcam_optics.simulation.operator import LightOperator
@@ -100,8 +101,9 @@ def test_its_field_counts_every_effect(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CAMERAS)
-@pytest.mark.parametrize("tolerance", [0.2, 1e-2])
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("filters", 0.2), *((name, 1e-2) for name in CAMERAS)]
+)
 def test_the_whole_error_is_within_the_interval(name: str, tolerance: float) -> None:
     """One interval of twenty may miss: what has to hold for all is three times as wide."""
     camera = CAMERAS[name]
@@ -189,7 +191,8 @@ def test_what_cannot_be_checked_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_fewer_entries_where_each_is_dear() -> None:
-    camera = replace(CAMERAS["near"], distance=10e-6)
+def test_check_takes_fewer_entries_where_each_is_dear(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checking, "_WORK", checking._WORK / 6)
+    camera = replace(CAMERAS["near"], distance=40e-6)
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)
     assert 8 <= chosen.check(mask(camera), entries=400).entries < 400

@@ -57,7 +57,7 @@ def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
     """Predicted and true error of a job's plan."""
     chosen = chosen_by(job, method)
     weights = masks(job)
-    exact, unsure = truth(job, weights, lambda _: chosen.error / 10)
+    exact, unsure = truth(job, weights, lambda _: chosen.error / 4)
     true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
     assert unsure < true / 3
     return chosen.error, true
@@ -100,9 +100,14 @@ CASES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("job", CASES.values(), ids=CASES)
-def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> None:
-    predicted, true = judged(job, "transfer")
+@pytest.mark.long
+@pytest.mark.parametrize("name", CASES)
+def test_factored_field_is_as_far_from_exact_light_as_predicted(
+    name: str, *, long_form: bool
+) -> None:
+    if name == "in oblique light" and not long_form:
+        pytest.skip("exact light at large angles takes 8 s: in the long form")
+    predicted, true = judged(CASES[name], "transfer")
     assert true > 1.5e-3
     assert true / 1.5 < predicted < 3 * true
 
@@ -144,7 +149,7 @@ def test_apertures_turn_with_their_mask() -> None:
     far = replace(camera(30e-6, (1, 1), 4e-3, 40e-3, 3e-6), panel=panel)
     turned = Conditions(imperfections=Imperfections(rotation=0.08))
     job = Job(
-        far, Scene(1, 1, height=0.8, distance=40.0), Embedding(2, 2), turned, 1e-3, ((1, 1), (3, 2))
+        far, Scene(1, 1, height=0.2, distance=40.0), Embedding(2, 2), turned, 1e-3, ((1, 1), (3, 2))
     )
     predicted, true = judged(job, "transfer")
     assert true > 5e-3
@@ -247,7 +252,8 @@ def test_a_code_that_seldom_changes_is_held_where_it_does(
 
 
 @pytest.mark.slow
-def test_a_large_offset_calls_for_double_precision() -> None:
+@pytest.mark.long
+def test_large_offset_calls_for_double_precision(*, long_form: bool) -> None:
     """Light of 1e-8 on a black level of 0.01 is rounded by a seventh of itself in float32."""
     dark = camera(0.5e-6, (2, 2), 3e-6, 1e-3, 5e-6)
     conditions = Conditions(black_level=0.01)
@@ -255,5 +261,6 @@ def test_a_large_offset_calls_for_double_precision() -> None:
         chosen = plan(dark, narrow(2e-3), Embedding(2, 2), 1e-2, asked)
         assert chosen.reached
         assert chosen.model.sampling.dtype == dtype
-    job = Job(dark, narrow(2e-3), Embedding(2, 2), conditions, 1e-2, HALF_OPEN)
-    assert judge_job(job, limit=UNHURRIED).honest
+    if long_form:  # exact light to a millionth takes 5 s
+        job = Job(dark, narrow(2e-3), Embedding(2, 2), conditions, 1e-2, HALF_OPEN)
+        assert judge_job(job, limit=UNHURRIED).honest

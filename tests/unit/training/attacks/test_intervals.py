@@ -34,12 +34,12 @@ def test_errors_are_those_of_repeated_experiments() -> None:
     random = np.random.default_rng(2)
     gains = []
     for _ in range(300):
-        scores, positive = random.standard_normal(200), random.random(200) < 0.5
-        gains.append(area_gain(scores, positive, np.arange(200) % 2))
+        scores, positive = random.standard_normal(60), random.random(60) < 0.5
+        gains.append(area_gain(scores, positive, np.arange(60) % 2))
     spread = np.std([gain.shown for gain in gains])
     # The spread of 300 has a standard error of 4 %.
     assert np.mean([gain.error for gain in gains]) == pytest.approx(spread, rel=0.15)
-    blocks = [linkage_gain(random.standard_normal((40, 5, 5))) for _ in range(300)]
+    blocks = [linkage_gain(random.standard_normal((20, 4, 4))) for _ in range(300)]
     spread = np.std([gain.shown for gain in blocks])
     assert np.mean([gain.error for gain in blocks]) == pytest.approx(spread, rel=0.15)
 

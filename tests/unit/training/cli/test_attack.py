@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from veilcam_training.errors import TrainingError
 def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "a.veilcam"
     write_bundle(path, make_pairs())
-    monkeypatch.setattr(attack, "QUICK", TINY)
+    monkeypatch.setattr(attack, "QUICK", replace(TINY, own=20, seen=20, epochs=1))
     monkeypatch.setattr(attack, "shipped_digits", make_images)
     return path
 

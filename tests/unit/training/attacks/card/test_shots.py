@@ -17,7 +17,7 @@ from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.mask_recovery import Search, recover_mask
 from veilcam_training.bundle import Bundle
 
-HEAVY = replace(TINY, own=20, seen=20, epochs=4, recovered=3)
+HEAVY = replace(TINY, own=20, seen=20, epochs=2, recovered=3)
 
 
 def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
