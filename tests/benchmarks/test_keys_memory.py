@@ -64,7 +64,7 @@ def test_secret_is_found_in_every_spelling(spelling: str) -> None:
     assert memory.holds(iter([missed]), secrets) == set()
 
 
-def test_the_state_directory_is_searched_file_by_file_and_as_a_card(tmp_path: Path) -> None:
+def test_state_directory_is_searched_file_by_file_and_as_a_card(tmp_path: Path) -> None:
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "one").write_bytes(b"first")
     (tmp_path / "two").write_bytes(b"second")

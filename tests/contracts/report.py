@@ -66,7 +66,7 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
         "unit/optics/transfer/test_grid.py::test_scene_shift_moves_the_image_the_other_way",
         "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_field",
         "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_transfer",
-        "contracts/test_factored_closed_forms.py::test_a_scene_pixel_further_is_an_embedding_pixel_back",
+        "contracts/test_factored_closed_forms.py::test_scene_pixel_further_is_an_embedding_pixel_back",
     ),
 }
 """Closed forms of diffraction theory, and where each is tested; tolerances stand in the tests."""
@@ -96,7 +96,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_plans.py::test_noise_of_a_plan_is_noise_after_the_optics",
     ),
     "a bright neighbour in the batch darkens an image": (
-        "unit/optics/test_incumbent_defects.py::test_a_bright_neighbour_does_not_darken_a_picture",
+        "unit/optics/test_incumbent_defects.py::test_bright_neighbour_does_not_darken_a_picture",
         "contracts/test_hard_measurements.py::test_each_image_has_its_own_noise_level",
     ),
     "misspelt options swallowed": (
@@ -104,8 +104,8 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_defects.py::test_no_function_swallows_a_misspelt_option",
     ),
     "a pattern divided by its own maximum": (
-        "unit/optics/test_incumbent_defects.py::test_a_dim_mask_stays_dim",
-        "contracts/test_defects.py::test_a_dim_mask_stays_dim",
+        "unit/optics/test_incumbent_defects.py::test_dim_mask_stays_dim",
+        "contracts/test_defects.py::test_dim_mask_stays_dim",
     ),
     "bits lost on the wire modelled nowhere": (
         "contracts/test_defects.py::test_six_bits_of_the_wire_are_modelled",

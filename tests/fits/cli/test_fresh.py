@@ -30,7 +30,7 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
+def test_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
     out = tmp_path / "fresh.veilcam"
     command = [
         "fit-fresh",

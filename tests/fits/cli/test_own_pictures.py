@@ -29,7 +29,7 @@ def call(monkeypatch: pytest.MonkeyPatch) -> Call:
 
 
 @pytest.mark.slow
-def test_a_folder_is_drawn_summed_up_and_fitted(
+def test_folder_is_drawn_summed_up_and_fitted(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
@@ -57,7 +57,7 @@ def test_a_folder_is_drawn_summed_up_and_fitted(
 
 
 @pytest.mark.slow
-def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
+def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
     assert call("draw", shapes, "--count", 200) == 0
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
@@ -72,7 +72,7 @@ def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> Non
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def test_a_folder_that_is_not_empty_is_not_drawn_into(
+def test_folder_that_is_not_empty_is_not_drawn_into(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "mine.png").write_bytes(b"")

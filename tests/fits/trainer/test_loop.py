@@ -91,7 +91,7 @@ def fresh_reference(few: Source) -> Fit:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "digital"])
-def test_it_learns(source: Source, encoder: str) -> None:
+def test_fit_learns(source: Source, encoder: str) -> None:
     outcome = run_fit(
         settings(SMALL.model_copy(update={"epochs": 8, "batch": 30}), encoder=encoder),
         source,
@@ -107,7 +107,7 @@ def test_it_learns(source: Source, encoder: str) -> None:
     ("chosen", "other"),
     [(settings(), settings(seed=1)), (fresh(epochs=1), fresh(epochs=1, seed=1))],
 )
-def test_the_same_seed_gives_the_same_result(
+def test_same_seed_gives_the_same_result(
     few: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
 ) -> None:
     first = run(few, chosen)
@@ -118,7 +118,7 @@ def test_the_same_seed_gives_the_same_result(
     assert not torch.equal(weights_of(run(few, other)), weights_of(first))
 
 
-def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
+def test_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -209,7 +209,7 @@ def test_every_setting_for_fresh_masks_changes_the_result(
 
 
 @pytest.mark.slow
-def test_the_rate_of_learned_ranges_changes_them(few: Source) -> None:
+def test_rate_of_learned_ranges_changes_them(few: Source) -> None:
     slow, fast = (
         run(few, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder for rate in (1e-3, 0.1)
     )
@@ -265,7 +265,7 @@ def test_early_stop(source: Source, chosen: Settings | FreshSettings) -> None:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "lens", "digital"])
-def test_the_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> None:
+def test_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> None:
     model = make_model(settings(encoder=encoder), source, Camera())
     assert isinstance(model.layers[0], Affine)
     white = model.encoder(torch.ones(1, 28, 28)).detach() * model.layers[0].scale
@@ -402,7 +402,7 @@ def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: 
     assert resumed.accuracy == unbroken.accuracy
 
 
-def test_a_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
+def test_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
     run_fit(settings(SMALL.model_copy(update={"epochs": 1})), source, Camera(), checkpoint=path)
     with pytest.raises(TrainingError, match="of another fit"):
@@ -410,7 +410,7 @@ def test_a_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("data", [b"", b"nothing", b"PK\x03\x04 broken"])
-def test_a_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "fit.checkpoint"
     path.write_bytes(data)
     with pytest.raises(TrainingError, match=r"cannot be read .* remove it") as caught:
@@ -418,7 +418,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_the_epoch_that_validates_best_is_kept(source: Source) -> None:
+def test_epoch_that_validates_best_is_kept(source: Source) -> None:
     # At this rate the last epochs of a constant schedule are no better than earlier ones.
     recipe = Recipe(epochs=6, batch=90, rate=1.0, mask_rate=0.5, schedule="constant")
     result = run(source, settings(recipe))
@@ -430,7 +430,7 @@ def test_the_epoch_that_validates_best_is_kept(source: Source) -> None:
     assert not result.model.training
 
 
-def test_a_running_mean_of_weights(source: Source) -> None:
+def test_running_mean_of_weights(source: Source) -> None:
     model = make_model(settings(), source, Camera())
     weight = next(model.classifier.parameters())
     with torch.no_grad():
@@ -451,7 +451,7 @@ def test_a_running_mean_of_weights(source: Source) -> None:
     assert str(resumed.state_dict()) == str(average.state_dict())
 
 
-def test_a_loss_that_is_no_number(source: Source) -> None:
+def test_loss_that_is_no_number(source: Source) -> None:
     recipe = Recipe(epochs=2, batch=90, optimiser="sgd", rate=10.0, mask_rate=1e-3)
     model = make_model(settings(recipe), source, Camera())
     with torch.no_grad():
@@ -460,7 +460,7 @@ def test_a_loss_that_is_no_number(source: Source) -> None:
         fit(model, split(source.training()), recipe, 0)
 
 
-def test_nothing_to_evaluate(source: Source) -> None:
+def test_evaluation_without_images_is_refused(source: Source) -> None:
     model = make_model(settings(), source, Camera())
     with pytest.raises(TrainingError, match="no images"):
         evaluate(model, source.test().take(torch.arange(0)), 0, "test")

@@ -93,14 +93,14 @@ def test_noise_asked_for_is_noise_delivered(level: float, snr_db: float) -> None
     assert delivered == pytest.approx(snr_db, abs=0.1)
 
 
-def test_a_dim_mask_stays_dim() -> None:
+def test_dim_mask_stays_dim() -> None:
     """A pattern divided by its own maximum would show the same light."""
     light = GridLight(CAMERA, SCENE, 1)
     mask = weights()
     assert torch.allclose(light.psf(mask / 2), light.psf(mask) / 4, rtol=1e-12)
 
 
-def test_a_bright_neighbour_does_not_darken_a_picture() -> None:
+def test_bright_neighbour_does_not_darken_a_picture() -> None:
     light = GridLight(CAMERA, SCENE, 1)
     psf = light.psf(weights())
     scenes = torch.rand(2, 6, 8, generator=seeded(), dtype=torch.float64)

@@ -76,7 +76,7 @@ def relative(value: Tensor, truth: Tensor) -> float:
 @pytest.mark.parametrize(
     "name", ["filters", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CAMERAS)[1:])]
 )
-def test_its_field_is_that_of_the_reference(name: str) -> None:
+def test_field_of_a_check_is_that_of_the_reference(name: str) -> None:
     """The reference's cells are converged to some millionths: finer where fringes are."""
     camera, oversampling = CAMERAS[name], {"near": 96, "fine": 48}.get(name, 16)
     truth = reference_transfer(camera, SCENE, EMBEDDING, mask(camera), oversampling=oversampling)
@@ -85,7 +85,7 @@ def test_its_field_is_that_of_the_reference(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONDITIONS)
-def test_its_field_counts_every_effect(name: str) -> None:
+def test_field_of_a_check_counts_every_effect(name: str) -> None:
     """Against an operator with all pairs, each scene pixel's own angle, and as many samples."""
     conditions, camera = CONDITIONS[name], CAMERAS["filters"]
     sampling = Sampling(
@@ -104,7 +104,7 @@ def test_its_field_counts_every_effect(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "tolerance"), [("filters", 0.2), *((name, 1e-2) for name in CAMERAS)]
 )
-def test_the_whole_error_is_within_the_interval(name: str, tolerance: float) -> None:
+def test_whole_error_is_within_the_interval(name: str, tolerance: float) -> None:
     """One interval of twenty may miss: what has to hold for all is three times as wide."""
     camera = CAMERAS[name]
     chosen = plan(camera, SCENE, EMBEDDING, tolerance)
@@ -175,7 +175,7 @@ def test_draws_repeat_and_seeds_differ() -> None:
     assert "8 entries" in str(one)
 
 
-def test_what_cannot_be_checked_is_refused() -> None:
+def test_checks_that_cannot_be_are_refused() -> None:
     camera = CAMERAS["filters"]
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)
     with pytest.raises(OpticsError, match="entries"):

@@ -122,7 +122,7 @@ def test_shadows_miss_what_edges_lose() -> None:
     assert result.true / 2 < result.predicted < 3 * result.true
 
 
-def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
+def test_grid_takes_oblique_flux_for_all_of_it() -> None:
     """Sub-pixels of a wavelength spread light by 45 degrees, where the flux is 0.7 of it."""
     fine = camera(6e-6, (2, 2), 60e-6, 20e-6, 5e-6)
     job = Job(fine, narrow(20e-6), Embedding(2, 2), Conditions(), 1e-3, HALF_OPEN)
@@ -132,7 +132,7 @@ def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
 
 
 @pytest.mark.slow
-def test_a_wide_scene_pixel_is_seen_unevenly() -> None:
+def test_wide_scene_pixel_is_seen_unevenly() -> None:
     """The sensor sees half the image of a pixel of 45 degrees: that near the axis is brighter."""
     near = camera(20e-6, (1, 1), 30e-6, 30e-6, 3e-6)
     scene = Scene(1, 2, height=1.0, distance=1.0)
@@ -156,7 +156,7 @@ def test_apertures_turn_with_their_mask() -> None:
     assert true / 2 < predicted < 3 * true
 
 
-def test_what_turns_comes_nearer_to_the_axis() -> None:
+def test_turned_apertures_come_nearer_to_the_axis() -> None:
     """Two apertures, halves of which the sensor sees: by symmetry nothing else shows."""
     panel = Panel(
         pitch_y=200e-6, pitch_x=200e-6, aperture_y=100e-6, aperture_x=100e-6, filter_cycle=()
@@ -210,7 +210,7 @@ def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
 FAINT = camera(30e-6, (2, 2), 200e-6, 2e-3, 3e-6)
 
 
-def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
+def test_converter_makes_much_of_a_small_error_of_faint_light() -> None:
     """Of light of two steps, an error of a percent turns one value in fifty by half of it."""
     conditions = Conditions(adc_bits=8, adc_range=1.0)
     job = Job(FAINT, narrow(2e-3), Embedding(6, 6), conditions, 1e-1, HALF_OPEN)
@@ -225,7 +225,7 @@ def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
     ("bits", "light", "error"),
     [(4, 1.0, 3e-4), (4, 1.0, 1e-3), (4, 0.1, 1e-2), (12, 0.1, 3e-5), (12, 0.1, 3e-4)],
 )
-def test_a_code_that_seldom_changes_is_held_where_it_does(
+def test_code_that_seldom_changes_is_held_where_it_does(
     bits: int, light: float, error: float
 ) -> None:
     """Readings of nine values behind three masks each, with and without a normal error: counted.

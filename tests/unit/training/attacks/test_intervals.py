@@ -16,7 +16,7 @@ from veilcam_training.attacks.intervals import (
 )
 
 
-def test_the_area_is_mann_whitneys_and_its_error_delongs() -> None:
+def test_area_is_mann_whitneys_and_its_error_delongs() -> None:
     random = np.random.default_rng(1)
     scores = random.integers(6, size=80).astype(float)
     positive = random.random(80) < 0.4
@@ -55,14 +55,14 @@ def test_captures_of_one_mask_count_as_what_they_are() -> None:
     assert gain.error == pytest.approx(100 * (0.21 / 4000) ** 0.5, rel=0.05)
 
 
-def test_an_area_below_one_half_is_turned_round() -> None:
+def test_area_below_one_half_is_turned_round() -> None:
     positive = np.arange(100) < 50
     gain = area_gain(-positive.astype(float), positive, np.zeros(100, np.int64))
     assert gain.shown == 0
     assert gain.value == 0.5
 
 
-def test_the_upper_end_is_at_the_bar_where_the_doubt_is_its_level() -> None:
+def test_upper_end_is_at_the_bar_where_the_doubt_is_its_level() -> None:
     gain = Gain(0.4, 0.25, 1.0, 100, 10.4)
     assert gain.upper(gain.doubt) == pytest.approx(gain.bar)
     assert gain.upper(0.01) == pytest.approx(0.4 + 2.326348 * 0.25)

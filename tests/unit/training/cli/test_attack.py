@@ -38,7 +38,7 @@ def run(*arguments: str | Path) -> str:
 
 
 @pytest.mark.slow
-def test_a_card_is_written_and_travels(bundle: Path, tmp_path: Path) -> None:
+def test_card_is_written_and_travels(bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "card"
     said = run(bundle, "--quick", "--out", out, "--write", "--seed", "3")
     card = PrivacyCard.model_validate_json((out / "card.json").read_text())
@@ -52,7 +52,9 @@ def test_a_card_is_written_and_travels(bundle: Path, tmp_path: Path) -> None:
     assert again["rows"] == json.loads(card.model_dump_json())["rows"]
 
 
-def test_what_does_not_go_together_is_refused_before_the_work(bundle: Path, tmp_path: Path) -> None:
+def test_options_that_do_not_go_together_are_refused_before_the_work(
+    bundle: Path, tmp_path: Path
+) -> None:
     for options, reason in (
         (["--resume"], "give --out"),
         (["--write", "--mode", "random"], "leave out --mode"),

@@ -28,7 +28,7 @@ def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
 
 
 @pytest.mark.slow
-def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
+def test_mask_is_found_where_embeddings_leave_as_they_were_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     light = partial(recover_mask, search=Search(steps=150, starts=1))
@@ -42,7 +42,7 @@ def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
 
 
 @pytest.mark.slow
-def test_nothing_is_looked_for_where_captures_are_sealed() -> None:
+def test_sealed_captures_are_not_searched_for_masks() -> None:
     unknown, known = attacked(make_fresh(), "sealed")
     for found in (unknown, known):
         assert not any("gradient" in name for name in found.others)
@@ -54,7 +54,7 @@ def test_nothing_is_looked_for_where_captures_are_sealed() -> None:
     assert abs(known.gain.value) < 4 * 1.4
 
 
-def test_the_best_is_chosen_where_it_does_not_count() -> None:
+def test_best_is_chosen_where_it_does_not_count() -> None:
 
     scenes = make_images().scenes(slice(0, 300))
     subject = make_subject(make_pairs(1), scenes, seed=1)
