@@ -10,7 +10,7 @@ import pytest
 import torch
 import typer
 from benchmarks import capabilities
-from benchmarks.capabilities import HEADER, Run, green, run, targets_up_to
+from benchmarks.capabilities import HEADER, Run, green, run
 from tests.conftest import pytest_report_header
 from typer.testing import CliRunner
 
@@ -25,14 +25,6 @@ def environment(folder: Path, script: str) -> str:
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     return f"VENV={folder}"
-
-
-def test_targets_show_each_kind_of_instructions_once() -> None:
-    assert targets_up_to("DEFAULT") == ("test",)
-    assert targets_up_to("AVX2") == ("suite-SSE", "test")
-    assert targets_up_to("AVX512") == ("suite-SSE", "suite-AVX2", "test")
-    with pytest.raises(ValueError, match="torch runs on SVE256 here"):
-        targets_up_to("SVE256")
 
 
 def test_report_header_names_the_capability_of_torch() -> None:

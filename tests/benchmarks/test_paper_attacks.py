@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 import typer
 from benchmarks.privacy.paper import attributes, convex, generator, masks
 from benchmarks.privacy.paper.cells import (
@@ -25,10 +24,7 @@ from benchmarks.privacy.paper.generator_attack import (
     GeneratorTrial,
 )
 
-from veilcam_optics.camera.geometry import Camera, Scene
-from veilcam_optics.camera.masks import random_mask
-from veilcam_training.data import Images
-from veilcam_training.seeding import stream
+from veilcam_optics.camera.geometry import Scene
 
 SCENE = Scene(64, 52, 0.27, 0.55)
 
@@ -124,16 +120,6 @@ def test_generator_cells_are_computed_once(
         run(design="paper")
 
 
-def test_pairs_to_choose_by_show_other_people() -> None:
-    groups = torch.arange(200) // 4
-    images = Images(torch.zeros(200, 2, 2, dtype=torch.uint8), torch.zeros(200).long(), groups)
-    learned, held = generator.apart(images, 100, 15)
-    assert (len(learned), len(held)) == (100, 15)
-    assert not set(groups[learned].tolist()) & set(groups[held].tolist())
-    with pytest.raises(typer.BadParameter, match="too few"):
-        generator.apart(images, 190, 15)
-
-
 @pytest.mark.slow
 def test_attributes_are_read_where_a_mask_is_stored(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -156,25 +142,6 @@ def test_attributes_are_read_where_a_mask_is_stored(
     assert figures_of(figures)["attribute_auc_gender_1_200"] > 0.8
     kept = partial(attributes.command, data=data, work=tmp_path / "work", count=50, pairs=[200])
     kept(source=["faces-gender"], kind=["1"])
-
-
-@pytest.mark.slow
-def test_learned_masks_have_the_levels_of_the_panel(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(masks, "STEPS", 10)
-    random = torch.Generator().manual_seed(1)
-    scenes = torch.rand(40, 8, 6, generator=random)
-    labels = (scenes[:, :4].mean((1, 2)) > 0.5).long()
-    scene = Scene(8, 6, 0.27, 0.55)
-    one, same, other = (masks.learn_mask(Camera(), scene, scenes, labels, n) for n in (1, 1, 2))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    levels = one * (Camera().panel.levels - 1)
-    torch.testing.assert_close(levels, levels.round())
-    # Adam's first steps are as long as the rate: ten of them, against rounding to half a level.
-    start = random_mask(Camera(), stream(1, "mask"))
-    assert float((one - start).abs().mean()) > 1 / (Camera().panel.levels - 1)
 
 
 def test_cells_are_kept_and_private(tmp_path: Path) -> None:

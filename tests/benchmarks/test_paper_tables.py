@@ -18,7 +18,6 @@ from benchmarks.paper import runner as run_module
 from benchmarks.paper.grid import (
     TABLES,
     Cell,
-    Part,
     find_table,
     load_paper,
 )
@@ -65,41 +64,6 @@ def test_numbers_of_the_paper_have_their_cells() -> None:
     # Read off the paper.
     assert load_paper().accuracy["mnist_LR_learned_3x4"] == 79.3
     assert load_paper().accuracy["cifar10_VGG11_lens_27x36"] == 86.8
-
-
-@pytest.mark.parametrize(
-    ("table", "part", "count"),
-    [
-        ("mnist", Part(), 2 * 4 * (5 + 1 + 1)),
-        ("mnist", Part(classifiers=["CNN16"], embeddings=["3x4"]), 7),
-        ("mnist", Part(binnings=["point"]), 2 * 4 * 5),
-        ("robust", Part(changes=["none", "shift"]), 2 * 7),
-        ("faces", Part(datasets=["faces-glasses"]), 2 * 7),
-    ],
-)
-def test_part_of_a_table_has_its_places(table: str, part: Part, count: int) -> None:
-    places = find_table(table).places(part)
-    assert len(set(places)) == len(places) == count
-    chosen = [Settings(**place.row._asdict(), **place.column._asdict()) for place in places]
-    assert all(find_table(table).holds(settings) for settings in chosen)
-    assert len({Cell(settings).name for settings in chosen}) == count
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        (("--encoders", "lens,eye"), "no 'eye' among its encoders"),
-        (("--encoders", "digital", "--binnings", "point"), "has no binning 'point'"),
-        (("--budget", "10"), "--budget '10' is not valid: use e.g. 90s, 10m or 2h"),
-        (("--encoders", "fixed_measured"), "give --psf FILE"),
-        (("--psf", __file__, "--encoders", "lens"), "--psf is of fixed_measured"),
-        (("--figures", __file__), "is not a record of figures"),
-    ],
-)
-def test_options_that_cannot_be_used(run: Run, options: tuple[str, ...], reason: str) -> None:
-    error = run(*options).exception
-    assert isinstance(error, TrainingError)
-    assert reason in str(error)
 
 
 # --- running them

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.structure import files_of_a_driver, fullest_folder, statements
+from benchmarks.structure import files_of_a_driver, statements
 
 SOURCE = '''"""A module."""
 
@@ -23,10 +23,6 @@ def area(side: int) -> int:
 def test_statements_and_docstrings_are_counted_apart() -> None:
     # import, assignment, def, if and two returns; three docstrings
     assert statements([SOURCE, ""]) == (6, 3)
-
-
-def test_fullest_folder_is_found() -> None:
-    assert fullest_folder(["a/x.py", "b/x.py", "b/y.py", "b/c/z.py"]) == ("b", 2)
 
 
 def test_driver_is_its_file_and_its_entries_in_tables() -> None:
