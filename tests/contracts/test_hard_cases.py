@@ -64,7 +64,7 @@ def finite_with_gradients(operator: Operator, setting: Setting) -> None:
 @pytest.mark.slow
 @pytest.mark.long
 @every
-@settings(max_examples=max(3, settings.default.max_examples // 3))
+@settings(max_examples=max(3, settings().max_examples // 3))
 @given(distance=DISTANCES, wavelength=WAVELENGTHS, narrow=st.booleans())
 @example(distance=1e-6, wavelength=550e-9, narrow=True)
 @example(distance=1e3, wavelength=10e-6, narrow=False)
