@@ -28,17 +28,20 @@ settings.register_profile("long", max_examples=1000, deadline=None)
 NUMERICAL = (
     "contracts",
     "unit/optics",
+    "app/optics",
     *(
         f"unit/training/{room}"
         for room in ("attacks", "encoders", "export", "models", "trainer", "transforms")
     ),
     *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
-    *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements", "sources")),
-    *(
-        f"unit/training/experiments/test_{name}.py"
-        for name in ("adapt", "fit", "fresh", "pictures")
-    ),
+    *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements")),
+    "unit/training/experiments/test_adapt.py",
+    *(f"fits/{room}" for room in ("encoders", "models", "trainer")),
+    "fits/data/test_sources.py",
+    *(f"fits/experiments/test_{name}.py" for name in ("fit", "fresh")),
+    *(f"benchmarks/test_{name}_attack.py" for name in ("convex", "generator")),
     "unit/server/calibration",
+    "app/server/calibration",
     "unit/server/devices/simulated",
 )
 """Folders and files of tests that compute; single files elsewhere bear the mark themselves. What

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from veilcam_optics import Camera, Embedding, Scene, TransferOperator, random_mask
 from veilcam_optics.decoding import SceneDecoding, fit_statistics
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_training.attacks.leaked import estimates
-from veilcam_training.attacks.mask_recovery import KnownPictures, Search, recover_mask
+from veilcam_training.attacks.mask_recovery import KnownPictures, Search, estimates, recover_mask
 from veilcam_training.data.sample import shipped_digits
 
 generator = torch.Generator().manual_seed(4)

@@ -48,13 +48,7 @@ def setting(value: Tensor, **more: object) -> Setting:
     return Setting("a", {"n": 1}, lambda: Prepared(lambda: value), **more)  # type: ignore[arg-type]
 
 
-def test_relative_error_is_the_l2_distance() -> None:
-    truth = torch.tensor([3.0, 4.0])
-    assert relative_error(truth + torch.tensor([0.0, 0.5]), truth) == pytest.approx(0.1)
-    assert relative_error(truth * 2, truth) == pytest.approx(1)
-
-
-def test_free_factor_forgives_scale_and_phase_and_nothing_else() -> None:
+def test_relative_error_with_a_free_factor_forgives_scale_and_phase_alone() -> None:
     truth = torch.tensor([1.0 + 1j, 2.0, -1j], dtype=torch.complex128)
     turned = truth * 3j
     assert relative_error(turned, truth, free_factor=True) < 1e-12
@@ -71,20 +65,13 @@ def test_relative_error_that_does_not_exist_is_refused() -> None:
         relative_error(torch.ones(2), torch.zeros(2))
 
 
-def test_front_holds_what_nothing_beats() -> None:
+def test_pareto_front_holds_what_nothing_beats() -> None:
     points = [point(1, 0.5), point(2, 0.5), point(2, 0.1), point(3, 0.2), point(4, 0.01)]
     assert [(p.seconds, p.error) for p in pareto_front(points)] == [(1, 0.5), (2, 0.1), (4, 0.01)]
     assert pareto_front([]) == []
 
 
-def test_setting_has_a_truth_of_its_own() -> None:
-    value = torch.tensor([2.0])
-    own = setting(value, reference=lambda: torch.tensor([1.0]))
-    assert measure(own, value, least=1, budget=1e-9).error == pytest.approx(1)
-    assert measure(setting(value), value, least=1, budget=1e-9).error == 0
-
-
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
     """The operator beats every field by ten times in error; finer sampling helps the field."""
     job, truth = transfer

@@ -11,7 +11,6 @@ from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.grid import GridLight
 
 SCENE = Scene(14, 14, 0.12, 0.4)
@@ -52,8 +51,8 @@ def test_area_variant_agrees_with_the_grid_path_and_bilinear_does_not() -> None:
     assert errors["bilinear"] > 4 * errors["area"]
 
 
-@pytest.mark.parametrize("sensor", [(1200, 1200), (1208, 1208), (1208, 1200), (1200, 1208)])
-def test_no_shift_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
+@pytest.mark.parametrize("sensor", [(1208, 1200), (1200, 1208)])
+def test_picture_is_not_shifted_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
     """150 and 151 samples: all that is symmetric must give a symmetric picture."""
     panel = dataclasses.replace(SMALL.panel, filter_cycle=())
     camera = dataclasses.replace(SMALL, panel=panel, sensor=Sensor(*sensor, 1.55e-6))
@@ -68,7 +67,7 @@ def test_no_shift_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
 
 
 @pytest.mark.slow
-def test_delivers_the_noise_that_is_asked_for() -> None:
+def test_noise_is_as_loud_as_asked_for() -> None:
     scene = pictures(24, 14, 14)
     clean = Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.inf)
     psf = clean.psf(weights(SMALL))
@@ -78,17 +77,3 @@ def test_delivers_the_noise_that_is_asked_for() -> None:
         got = noisy(scene, psf, torch.Generator().manual_seed(3))
         delivered = 10 * math.log10(float(wanted.square().sum() / (got - wanted).square().sum()))
         assert delivered == pytest.approx(snr_db, abs=0.3)
-
-
-def test_scene_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(OpticsError, match="does not fit the sensor"):
-        Algorithm1(SMALL, Scene(14, 14, 2.0, 0.4), EMBEDDING)
-    with pytest.raises(OpticsError, match="resampling"):
-        Algorithm1(SMALL, SCENE, EMBEDDING, "nearest")  # type: ignore[arg-type]
-    with pytest.raises(OpticsError, match="snr_db"):
-        Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.nan)
-    simulation = Algorithm1(SMALL, SCENE, EMBEDDING)
-    with pytest.raises(OpticsError, match=r"psf\.shape"):
-        simulation(pictures(1, 14, 14), torch.zeros(3, 4, 4, dtype=torch.float64))
-    with pytest.raises(OpticsError, match=r"pictures\.shape"):
-        simulation.object_plane(pictures(1, 13, 14))

@@ -38,7 +38,7 @@ def curves(form: Form, small: list[float], large: list[float], crowd: float = 10
     }
 
 
-def test_a_budget_is_the_least_count_at_which_something_is_read() -> None:
+def test_budget_is_the_least_count_at_which_something_is_read() -> None:
     assert budget(curves("white", [10, 10, 30], [10, 15, 30]), "white", 1) == 1
     assert budget(curves("white", [10, 10, 30], [10, 10, 10]), "white", 1) == 3
     assert budget(curves("raw", [10, 10, 30], [90, 95, 99]), "raw", 1) == 0
@@ -49,7 +49,7 @@ def test_a_budget_is_the_least_count_at_which_something_is_read() -> None:
     assert budget(curves("raw", [10, 10, 10], [10, 10, 10]), "raw", 1) == 3
 
 
-def test_an_interval_is_of_masks() -> None:
+def test_interval_is_of_masks() -> None:
     low, high = interval([40.0, 60.0] * 50, 1)
     # The mean of 100 shares with a deviation of 10: 2.33 errors of 1 to either side; of 10,000
     # draws the ends are known to about 0.04.
@@ -68,15 +68,15 @@ def digits(seed: int) -> Digits:
     return Digits(Images(pixels, labels))
 
 
-def test_every_class_comes_equally_often() -> None:
+def test_classes_come_equally_often() -> None:
     scenes, labels = digits(1).draw(2000, torch.Generator().manual_seed(1))
     assert scenes.shape == (2000, 28, 28)
     # Five standard deviations of a count of 200.
     assert (torch.bincount(labels, minlength=10) - 200).abs().max() < 5 * 180**0.5
 
 
-@pytest.mark.thorough
-def test_what_was_measured_is_kept_and_charted(
+@pytest.mark.slow
+def test_cells_are_measured_once_and_charted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(of_curves, "EMBEDDINGS", (SMALL,))

@@ -21,7 +21,7 @@ from veilcam_server.demo.tally import Sample, Tally
         (True, False, "demo_fresh_accuracy"),
     ],
 )
-def test_the_accuracy_is_kept(
+def test_accuracy_of_the_demonstration_is_recorded(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

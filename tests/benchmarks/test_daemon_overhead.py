@@ -11,7 +11,7 @@ from benchmarks.daemon import overhead
 from veilcam_client.wire.captures import Timing
 
 
-def test_overhead_is_what_the_device_did_not_take() -> None:
+def test_overhead_is_the_rest_of_what_the_device_took() -> None:
     timing = Timing(queue_s=0.2, rotation_s=0.1, settle_s=0.05, capture_s=0.04)
     request = overhead.Request(0.5, timing)
     assert request.device == pytest.approx(0.39)

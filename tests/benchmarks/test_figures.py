@@ -27,14 +27,14 @@ def test_figures_are_merged(tmp_path: Path) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["a.json"]
 
 
-def test_two_at_a_time(tmp_path: Path) -> None:
+def test_figures_of_two_writers_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda i: record_figures(path, {f"n{i}": i}, ["x"]), range(12)))
     assert len(json.loads(path.read_text())) == 12
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_figures_that_cannot_be_kept_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     with pytest.raises(TrainingError, match="finite"):
         record_figures(path, {"a": float("nan")})
@@ -51,6 +51,6 @@ def test_what_is_refused(tmp_path: Path) -> None:
             check_record(place)
 
 
-def test_a_record_is_tried_without_being_made(tmp_path: Path) -> None:
+def test_record_is_tried_without_being_made(tmp_path: Path) -> None:
     check_record(tmp_path / "results" / "a.json")
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from benchmarks.privacy.forgeries import Campaign, forgeries
 from veilcam_client.keys import blocks, envelopes
 
 
-def test_no_forgery_is_taken() -> None:
+def test_forgeries_are_refused() -> None:
     assert forgeries(350, seed=2) == 0
 
 
@@ -40,7 +40,9 @@ def _open_door(monkeypatch: pytest.MonkeyPatch, door: str) -> None:
         ("memory", "cross-device"),
     ],
 )
-def test_a_door_left_open_is_found(monkeypatch: pytest.MonkeyPatch, door: str, kind: str) -> None:
+def test_forgeries_find_a_door_left_open(
+    monkeypatch: pytest.MonkeyPatch, door: str, kind: str
+) -> None:
     _open_door(monkeypatch, door)
     campaign = Campaign(seed=3)
     assert any(campaign.taken(kind) for _ in range(300))

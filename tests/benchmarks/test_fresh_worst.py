@@ -18,7 +18,7 @@ from veilcam_training.attacks.keyless import Asked
 from veilcam_training.bundle import read_bundle
 
 
-def test_a_chunk_holds_what_leaves_in_every_form(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunk_holds_every_form(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fresh_worst, "CHUNK", 4)
     bundle = read_bundle(FRESH)
     scenes = load_scenes(bundle.scene.shape, None, None)
@@ -35,7 +35,7 @@ def test_a_chunk_holds_what_leaves_in_every_form(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_every_row_is_attacked_once_and_the_worst_is_said(
+def test_rows_are_attacked_once_and_the_worst_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fresh_worst, "CHUNK", 30)

@@ -9,7 +9,7 @@ from benchmarks.training.heads import CELLS, chance, interval
 from veilcam_training.data import Images
 
 
-def test_wilsons_interval() -> None:
+def test_interval_is_wilsons() -> None:
     # Newcombe 1998, table I: 81 of 263 and 0 of 20, to the digits that stand there.
     assert interval(81 / 263, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert interval(0.0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
@@ -22,5 +22,5 @@ def test_chance_is_the_commonest_training_label() -> None:
     assert chance(images(1, 1, 0), images(0, 0, 1, 0)) == 0.25
 
 
-def test_every_cell_has_settings() -> None:
+def test_cells_have_their_settings() -> None:
     assert all(cell.settings.recipe.epochs == cell.epochs for cell in CELLS.values())

@@ -36,38 +36,20 @@ def answers(leak: Leak | None = None) -> tuple[list[Answer], np.ndarray[Any, np.
     return made, np.array(labels)
 
 
-def size(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
-    body["embedding"]["values"] *= 1 + label
-
-
 def value(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
     body["number"] = label
-
-
-def field(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
-    if label:
-        body["scene"] = None
 
 
 def header(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
     headers.append(("server-timing", f"total;dur={10 + label}"))
 
 
-def order(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
-    if label:
-        headers.reverse()
-
-
 def digits(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
     body["epoch"] = f"{label}{body['epoch'][1:]}"
 
 
-def moment(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
-    body["taken_at"] = f"2026-01-02T03:0{4 + label}:{body['taken_at'][17:]}"
-
-
-@pytest.mark.parametrize("leak", [size, value, field, header, order, digits, moment])
-def test_a_leak_is_a_difference_of_columns(leak: Leak) -> None:
+@pytest.mark.parametrize("leak", [value, header, digits])
+def test_leak_is_a_difference_of_columns(leak: Leak) -> None:
     made, labels = answers(leak)
     assert differences(columns(made), labels)
 
@@ -81,24 +63,14 @@ def test_answers_that_are_alike_differ_in_no_column() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("leak", [value, digits])
-def test_a_classifier_wins_on_a_leak(leak: Leak) -> None:
+def test_classifier_wins_on_a_leak(leak: Leak) -> None:
     made, labels = answers(leak)
     gain = clear_part_gain(columns(made), labels, epochs=4, seed=1)
     # Six standard errors: noise gives as much with a chance of 1e-9.
     assert gain.value > max(0.1, 6 * gain.error)
 
 
-@pytest.mark.slow
-def test_a_classifier_gains_nothing_where_nothing_is() -> None:
-    made, labels = answers()
-    gain = clear_part_gain(columns(made), labels, epochs=4, seed=1)
-    assert gain.value < 3.5 * gain.error
-    assert gain.count == 2 * COUNT
-    # Of 150 against 150 without ties: the root of (1/150 + 1/150) / 12.
-    assert gain.error == pytest.approx(0.0333, rel=0.1)
-
-
-def test_what_is_hidden_counts_by_its_size_alone() -> None:
+def test_hidden_fields_count_by_their_size_alone() -> None:
     body = {
         "embedding": {
             "block": "c2VjcmV0",
@@ -112,16 +84,9 @@ def test_what_is_hidden_counts_by_its_size_alone() -> None:
     assert not any(hidden in text for hidden in ("c2VjcmV0", "c2VhbGVk", "0f0f"))
 
 
-def test_an_answer_that_was_cut_off_is_asked_again(tmp_path: Path) -> None:
+def test_answer_that_was_cut_off_is_asked_again(tmp_path: Path) -> None:
     record = tmp_path / "answers.jsonl"
     line = json.dumps({"label": 1, "waited": 0.5, "headers": [["status", "200 OK"]], "body": "{}"})
     record.write_text(f"{line}\n{line}\n{line[:20]}")
     assert read_answers(record) == 2 * [Answer(1, 0.5, (("status", "200 OK"),), "{}")]
     assert record.read_text() == f"{line}\n{line}\n"
-
-
-def test_two_scenes_come_equally_often_and_in_no_order() -> None:
-    labels = np.array(two_scenes(100, seed=1))
-    assert labels.sum() == 100
-    assert 80 < np.abs(np.diff(labels)).sum() < 120
-    assert two_scenes(100, seed=1) != two_scenes(100, seed=2)

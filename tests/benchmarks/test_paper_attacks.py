@@ -9,34 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 import typer
 from benchmarks.privacy.paper import attributes, convex, generator, masks
 from benchmarks.privacy.paper.cells import (
     Cells,
     Mean,
     difference,
-    gray,
     mean,
-    one_of_each,
     proven,
     published,
 )
-
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.masks import random_mask
-from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.attacks.convex import ConvexAttack, tune
-from veilcam_training.attacks.generator import (
-    LIGHT,
-    PAPER,
-    Design,
-    FittedGenerator,
+from benchmarks.privacy.paper.convex_attack import ConvexAttack, tune
+from benchmarks.privacy.paper.generator_attack import (
     GeneratorTrial,
-    PlaintextPairs,
 )
-from veilcam_training.data import Images
-from veilcam_training.seeding import stream
+
+from veilcam_optics.camera.geometry import Scene
 
 SCENE = Scene(64, 52, 0.27, 0.55)
 
@@ -98,18 +86,6 @@ def test_convex_cells_are_computed_once(
         run(count=5, size=["7x7"])
 
 
-def test_a_psf_is_of_its_own_mask(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convex, "SENSOR", (192, 256))
-    scene = Scene(8, 6, 0.27, 0.55)
-    one, other = (convex.masks_psf(scene, name) for name in ("good", "bad"))
-    side, pitch = convex.sampled(scene, Camera())
-    # A scene pixel's image is a whole number of samples, to half of one.
-    assert abs(side * pitch - scene.pixel_at_sensor(Camera())) <= pitch / 2
-    assert one.shape == other.shape == (192 + 8 * side - 1, 256 + 6 * side - 1)
-    assert not torch.equal(one, other)
-    assert torch.equal(one, convex.masks_psf(scene, "good"))
-
-
 @pytest.mark.slow
 def test_generator_cells_are_computed_once(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -145,50 +121,6 @@ def test_generator_cells_are_computed_once(
 
 
 @pytest.mark.slow
-def test_the_design_that_is_asked_for_is_fitted(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(generator, "LEAST_HELD", 2)
-    asked: list[Design] = []
-
-    def fit(
-        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[GeneratorTrial]
-    ) -> FittedGenerator:
-        asked.append(design)
-        assert (len(learned.embeddings), len(check.embeddings)) == (20, 2)
-        return FittedGenerator(lambda seen: torch.zeros(len(seen), *SCENE.shape), 0.0, tried[0], 1)
-
-    monkeypatch.setattr(generator, "best_generator", fit)
-    names: list[generator.DesignName] = ["light", "paper"]
-    for design in names:
-        generator.command(
-            data=data,
-            work=tmp_path / design,
-            count=5,
-            kind=["10random"],
-            pairs=[20],
-            design=design,
-        )
-    assert asked == [LIGHT, PAPER]
-
-
-def test_trials_are_many_where_they_are_cheap_and_the_papers_where_asked_for() -> None:
-    assert [len(generator.trials(number, "light")) for number in generator.PAIRS] == [3, 2, 1]
-    (paper,) = generator.trials(1000, "paper")
-    assert (paper.optimiser, paper.rate, paper.batch, paper.epochs) == ("sgd", 0.01, 16, 50)
-
-
-def test_pairs_to_choose_by_show_other_people() -> None:
-    groups = torch.arange(200) // 4
-    images = Images(torch.zeros(200, 2, 2, dtype=torch.uint8), torch.zeros(200).long(), groups)
-    learned, held = generator.apart(images, 100, 15)
-    assert (len(learned), len(held)) == (100, 15)
-    assert not set(groups[learned].tolist()) & set(groups[held].tolist())
-    with pytest.raises(typer.BadParameter, match="too few"):
-        generator.apart(images, 190, 15)
-
-
-@pytest.mark.slow
 def test_attributes_are_read_where_a_mask_is_stored(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,39 +144,6 @@ def test_attributes_are_read_where_a_mask_is_stored(
     kept(source=["faces-gender"], kind=["1"])
 
 
-def test_embeddings_are_behind_any_of_the_masks() -> None:
-    small = Scene(4, 3, 0.27, 0.55)
-    operator = TransferOperator(Camera(), small, Embedding(3, 4))
-    shape = Camera().mask_shape
-    stored = [torch.rand(shape, generator=torch.Generator().manual_seed(seed)) for seed in (1, 2)]
-    scenes = torch.ones(60, *small.shape)
-    values = masks.embedded(operator, stored, scenes, torch.Generator().manual_seed(3))
-    light = [scenes[0].flatten() @ operator(weights) for weights in stored]
-    near = torch.stack([(values - each).norm(dim=1) / each.norm() for each in light])
-    # Noise of 40 dB is a hundredth; two masks differ by far more.
-    assert float(near.amin(0).max()) < 0.03
-    assert 0 < int((near[0] < near[1]).sum()) < 60
-
-
-@pytest.mark.slow
-def test_learned_masks_are_fitted_and_have_the_panels_levels(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(masks, "STEPS", 10)
-    random = torch.Generator().manual_seed(1)
-    scenes = torch.rand(40, 8, 6, generator=random)
-    labels = (scenes[:, :4].mean((1, 2)) > 0.5).long()
-    scene = Scene(8, 6, 0.27, 0.55)
-    one, same, other = (masks.learn_mask(Camera(), scene, scenes, labels, n) for n in (1, 1, 2))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    levels = one * (Camera().panel.levels - 1)
-    torch.testing.assert_close(levels, levels.round())
-    # Adam's first steps are as long as the rate: ten of them, against rounding to half a level.
-    start = random_mask(Camera(), stream(1, "mask"))
-    assert float((one - start).abs().mean()) > 1 / (Camera().panel.levels - 1)
-
-
 def test_cells_are_kept_and_private(tmp_path: Path) -> None:
     cells = Cells(tmp_path / "work", {"count": 5})
     assert cells.get("a", lambda: {"psnr": [1.0, 2.0]}) == {"psnr": [1.0, 2.0]}
@@ -254,7 +153,7 @@ def test_cells_are_kept_and_private(tmp_path: Path) -> None:
         Cells(tmp_path / "work", {"count": 6})
 
 
-def test_a_difference_is_proven_where_its_interval_is_on_one_side() -> None:
+def test_difference_is_proven_where_its_interval_is_on_one_side() -> None:
     values = [1.0, 2.0, 3.0, 4.0]
     found = mean(values)
     # 2.576 standard errors, of which the variance is 5 / 3 over 4 pictures.
@@ -266,18 +165,7 @@ def test_a_difference_is_proven_where_its_interval_is_on_one_side() -> None:
         assert proven(Mean(gain, 0.5)).endswith(said)
 
 
-def test_pictures_are_of_as_many_people_as_there_are() -> None:
-    groups = torch.arange(40) // 4
-    pixels = torch.arange(40)[:, None, None, None].expand(40, 3, 2, 2).to(torch.uint8)
-    images = Images(pixels, torch.zeros(40).long(), groups)
-    chosen = one_of_each(images, 12, "test")
-    assert len(set(groups[chosen[:10]].tolist())) == 10
-    assert gray(images, chosen).shape == (12, 2, 2)
-    with pytest.raises(typer.BadParameter, match="fewer than 41"):
-        one_of_each(images, 41, "test")
-
-
-def test_the_papers_cells_are_tables_5_and_6() -> None:
+def test_cells_of_the_paper_are_tables_5_and_6() -> None:
     cells = published()
     assert len(cells) == 2 * 2 * 5 + 2 * 4 * 4
     assert (cells["convex_psnr_good_384x512"], cells["convex_ssim_bad_24x32"]) == (22.6, 0.22)

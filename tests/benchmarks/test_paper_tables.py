@@ -12,22 +12,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from benchmarks.figures import Origin
 from benchmarks.paper import __main__ as paper
 from benchmarks.paper import runner as run_module
 from benchmarks.paper.grid import (
     TABLES,
     Cell,
-    Column,
-    Part,
-    Place,
-    Row,
     find_table,
     load_paper,
 )
-from benchmarks.paper.pictures import Pictures, load_pictures, make_pictures, save_pictures
-from benchmarks.paper.plots import draw_charts, draw_cost
+from benchmarks.paper.pictures import Pictures
 from benchmarks.paper.report import write_report
 from benchmarks.paper.results import (
     CellResult,
@@ -38,19 +32,13 @@ from benchmarks.paper.results import (
     record_cells,
     save_finished,
 )
-from benchmarks.paper.runner import confusion
-from benchmarks.paper.stopwatch import Stopwatch
-from matplotlib.collections import PathCollection
 from typer.testing import CliRunner, Result
 
-from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.plan.check import Check
 from veilcam_training.bundle import read_bundle
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
-from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.model import make_model
-from veilcam_training.trainer.callbacks import Epoch
 
 Run = Callable[..., Result]
 
@@ -69,76 +57,13 @@ def run(digit_folder: Path, tmp_path: Path) -> Run:
 # --- which cells there are
 
 
-def test_every_number_of_the_paper_has_its_cell() -> None:
+def test_numbers_of_the_paper_have_their_cells() -> None:
     places = chain.from_iterable(table.places(psf=True) for table in TABLES.values())
     assert {place.title for place in places} >= load_paper().accuracy.keys()
     assert len(load_paper().accuracy) == 48 + 24 + 24 + 24
     # Read off the paper.
     assert load_paper().accuracy["mnist_LR_learned_3x4"] == 79.3
     assert load_paper().accuracy["cifar10_VGG11_lens_27x36"] == 86.8
-
-
-@pytest.mark.parametrize(
-    ("table", "part", "count"),
-    [
-        ("mnist", Part(), 2 * 4 * (5 + 1 + 1)),
-        ("mnist", Part(encoders=["lens", "lens"], classifiers=["LR", "LR"]), 4),
-        ("mnist", Part(classifiers=["CNN16"], embeddings=["3x4"]), 7),
-        ("mnist", Part(binnings=["area"]), 2 * 4 * 6),
-        ("mnist", Part(binnings=["point"]), 2 * 4 * 5),
-        ("mnist", Part(encoders=["fixed_measured"]), 2 * 4),
-        ("robust", Part(changes=["none", "shift"]), 2 * 7),
-        ("faces", Part(datasets=["faces-glasses"]), 2 * 7),
-    ],
-)
-def test_part_of_a_table(table: str, part: Part, count: int) -> None:
-    places = find_table(table).places(part)
-    assert len(set(places)) == len(places) == count
-    chosen = [Settings(**place.row._asdict(), **place.column._asdict()) for place in places]
-    assert all(find_table(table).holds(settings) for settings in chosen)
-    assert len({Cell(settings).name for settings in chosen}) == count
-
-
-@pytest.mark.parametrize(
-    ("place", "name", "figure"),
-    [
-        (("LR", "lens", "point", "mnist", "none", "3x4"), "mnist_LR_lens_3x4_point", None),
-        (
-            ("CNN16", "learned", "area", "mnist", "shift", "24x32"),
-            "mnist_CNN16_learned_24x32_shift",
-            "robust_shift_CNN16_learned",
-        ),
-        (
-            ("FC800", "learned", "area", "fashion", "none", "24x32"),
-            "fashion_FC800_learned_24x32",
-            "fashion_fc800_learned_24x32",
-        ),
-    ],
-)
-def test_names_of_a_place(place: tuple[str, ...], name: str, figure: str | None) -> None:
-    where = Place(Row(*place[:3]), Column(*place[3:]))
-    assert (where.name, where.figure) == (name, figure or name)
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        (("--encoders", "lens,eye"), "no 'eye' among its encoders"),
-        (("--classifiers", "FC0"), "classifier 'FC0' is unknown"),
-        (("--encoders", "digital", "--binnings", "point"), "has no binning 'point'"),
-        (("--budget", "10"), "--budget '10' is not valid: use e.g. 90s, 10m or 2h"),
-        (("--encoders", "fixed_measured"), "give --psf FILE"),
-        (("--psf", "none.npz"), "none.npz is missing"),
-        (("--psf", f"learned={__file__}"), "encoder 'learned' takes no PSF"),
-        (("--psf", __file__, "--encoders", "lens"), "--psf is of fixed_measured"),
-        (("--out", __file__), "cannot be written to"),
-        (("--figures", __file__), "is not a record of figures"),
-    ],
-)
-def test_options_that_cannot_be_used(run: Run, options: tuple[str, ...], reason: str) -> None:
-    error = run(*options).exception
-    assert isinstance(error, TrainingError)
-    assert reason in str(error)
 
 
 # --- running them
@@ -150,6 +75,8 @@ def test_quick_table_is_run_once_and_reported(
 ) -> None:
     work, figures, out = tmp_path / "work", tmp_path / "figures.json", tmp_path / "report"
     options = ("--quick", "--encoders", "learned,digital", "--binnings", "area", "--seeds", 2)
+    checked = Check(1e-4, 5e-5, 2e-4, 0.9, 16)
+    monkeypatch.setattr("veilcam_training.experiments.fit.check", lambda *_, **__: checked)
     # A clock on which every cell takes four minutes.
     clock = time.time()
     with monkeypatch.context() as patch:
@@ -162,16 +89,8 @@ def test_quick_table_is_run_once_and_reported(
     results = list(load_results(work))
     assert len(results) == 4
     for result in results:
-        assert len(result.epochs) == 1
         assert int(np.trace(result.confusion)) / 100 == result.test_accuracy
-        assert result.inference_seconds > 0
-        assert str(result.provenance["command"]) == result.origin.command
         assert not (work / result.cell.name / "checkpoint").exists()
-    said = {result.cell.name: f"test {100 * result.test_accuracy:.2f} %" for result in results}
-    assert all(
-        any(f"{n}  " in x and s in x for x in (begun.output + ended.output).splitlines())
-        for n, s in said.items()
-    )
     # A mask that a device could show comes as a bundle.
     assert {path.parent.name for path in work.glob("*/pair.veilcam")} == {
         "mnist_LR_learned_3x4",
@@ -186,7 +105,6 @@ def test_quick_table_is_run_once_and_reported(
         [by_name[f"mnist_LR_digital_3x4{seed}"].test_accuracy for seed in ("", "_seed1")]
     )
     assert record["mnist_LR_digital_3x4"]["value"] == pytest.approx(100 * mean, abs=0.005)
-    assert "4 cells" in ended.output
     assert "mnist_LR_learned_3x4" in (out / "report.md").read_text()
 
     # Nothing is run again, and the figures say still what made them.
@@ -202,38 +120,6 @@ def test_quick_table_is_run_once_and_reported(
     assert "was made with other settings" in str(error)
     (work / "mnist_LR_digital_3x4" / "result.json").write_text("{}")
     assert "is not the result of a cell" in str(run(*options).exception)
-
-
-def test_confusion_counts_pairs() -> None:
-    counts = confusion(torch.tensor([0, 0, 1, 2]), torch.tensor([0, 2, 1, 1]), 3)
-    assert counts.tolist() == [[1, 0, 1], [0, 1, 0], [0, 1, 0]]
-
-
-@pytest.mark.parametrize(
-    ("at", "watched", "seconds"),
-    [
-        # Two epochs of 2 s after 3 s of preparation; the first step ends a quarter in.
-        ([0.0, 3.5, 5.0, 7.0], 2, 7.0),
-        # As many epochs again by an earlier process.
-        ([0.0, 3.5, 5.0, 7.0], 4, 11.0),
-    ],
-)
-def test_stopwatch_counts_preparation_once(
-    monkeypatch: pytest.MonkeyPatch, at: list[float], watched: int, seconds: float
-) -> None:
-    times = iter(at)
-    monkeypatch.setattr(time, "process_time", lambda: next(times))
-    watch = Stopwatch(torch.device("cpu"))
-    epoch = Epoch(0, 1.0, 0.5, 0.5, 1.0, 9.0)
-    watch.step(0, 1, 4)
-    watch.epoch(epoch)
-    watch.epoch(epoch)
-    assert watch.read([epoch] * watched) == (seconds, "processor")
-
-
-def test_stopwatch_that_watched_nothing_knows_elapsed_time() -> None:
-    epoch = Epoch(0, 1.0, 0.5, 0.5, 1.0, 9.0)
-    assert Stopwatch(torch.device("cpu")).read([epoch] * 2) == (18.0, "elapsed")
 
 
 # --- the report
@@ -319,13 +205,14 @@ def test_report_says_what_the_cells_found(tmp_path: Path) -> None:
         ((95.56, 95.56, 95.56), "win"),
         ((95.54, 95.54, 95.54), "tie"),
         ((95.44, 95.44, 95.44), "loss"),
-        # Half of the interval of three, d apart, is 4.303 d / sqrt(3); of four 3.182 * 1.291 d / 2.
+        # Half of the interval of three, d apart, is 4.303 d / sqrt(3).
         ((95.9, 96.0, 96.1), "win"),  # 96 - 0.25
         ((95.8, 96.0, 96.2), "tie"),  # 96 - 0.50
-        ((95.75, 95.9, 96.05, 96.2), "win"),  # 95.975 - 0.31
     ],
 )
-def test_seeds_decide(tmp_path: Path, tests: tuple[float, ...], verdict: str | None) -> None:
+def test_verdict_is_decided_by_seeds(
+    tmp_path: Path, tests: tuple[float, ...], verdict: str | None
+) -> None:
     results = [
         finish(tmp_path, test / 100, classifier="LR", embedding="24x32", seed=seed)
         for seed, test in enumerate(tests)
@@ -335,58 +222,10 @@ def test_seeds_decide(tmp_path: Path, tests: tuple[float, ...], verdict: str | N
     assert entry.verdict == verdict
 
 
-def test_report_of_nothing_shows_the_paper(tmp_path: Path) -> None:
-    write_report(tmp_path, find_table("robust"), [], tmp_path)
-    text = (tmp_path / "report.md").read_text()
-    assert "| FC800 | learned mask | – (98.7) | – (68.8) |" in text
-    assert "![" not in text
-
-
-def test_cost_chart_shows_accuracy_size_and_both_times(tmp_path: Path) -> None:
-    first = finish(tmp_path, 0.96, classifier="LR", embedding="24x32")
-    first = first.model_copy(update={"seconds": 99.0, "inference_seconds": 1e-3})
-    other = finish(tmp_path, 0.78, classifier="LR", embedding="3x4")
-    axes = draw_cost(Summary(find_table("mnist"), [first, other])).axes[0]
-    points = [point for point in axes.collections if isinstance(point, PathCollection)]
-    places = np.array([point.get_offsets() for point in points])[:, 0]
-    assert places[:, 0].tolist() == [99.0, 12.0]
-    assert places[:, 1] == pytest.approx([4.0, 22.0])
-    assert float(points[0].get_sizes()[0]) > float(points[1].get_sizes()[0])
-    colours = [float(np.asarray(point.get_array())[0]) for point in points]
-    assert colours == pytest.approx([1000.0, 34.0])
-
-
-def test_charts_want_the_pictures_of_a_cell(tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    result = finish(work, 1.0, classifier="LR", encoder="digital", embedding="3x4")
-    charts = draw_charts(tmp_path, Summary(find_table("mnist"), [result]), work)
-    assert all((tmp_path / name).stat().st_size for name, _ in charts)
-    (work / result.cell.name / "pictures.npz").unlink()
-    with pytest.raises(TrainingError, match="holds no pictures"):
-        draw_charts(tmp_path, Summary(find_table("mnist"), [result]), work)
-
-
-def test_pictures_show_the_mask_that_was_learned(source: Source, tmp_path: Path) -> None:
-    settings = Settings(embedding="3x4")
-    model = make_model(settings, source, Camera())
-    validation = split(source.training()).validation
-    with torch.no_grad():
-        next(iter(model.encoder.parameters()))[:25] = 0  # the upper half is closed
-    made = make_pictures(model, settings, validation)
-    assert np.allclose(made.scenes, validation.scenes(slice(3)))
-    assert (made.embeddings.max((1, 2)) == 1).all()
-    save_pictures(tmp_path / "a.npz", made)
-    kept = load_pictures(tmp_path / "a.npz")
-    assert np.allclose(kept.embeddings, made.embeddings, atol=0.5 / 255 + 1e-6)
-    assert kept.psf is not None
-    halves = sorted((float(kept.psf[:40].sum()), float(kept.psf[-40:].sum())))
-    assert halves[0] < 0.05 * halves[1]
-
-
 # --- figures
 
 
-def test_change_is_recorded_with_the_classifier_that_validates_best(tmp_path: Path) -> None:
+def test_change_records_the_classifier_that_validates_best(tmp_path: Path) -> None:
     path = tmp_path / "figures.json"
     results = [
         finish(tmp_path, test, classifier=classifier, encoder=encoder, change="shift")

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import pytest
 import torch
 from benchmarks.accuracy.field_job import FieldJob
-from benchmarks.accuracy.measure import Setting, measure
+from benchmarks.accuracy.measure import measure
 from benchmarks.accuracy.transfer_job import TransferJob
-from benchmarks.peers import accuracy, waveprop_peer
-
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.errors import OpticsError
+from benchmarks.peers import accuracy
 
 PEERS = accuracy.PEERS
 
@@ -33,11 +27,6 @@ def test_peers_solve_the_same_problem(peer):  # type: ignore[no-untyped-def]
     assert max(errors) < 5e-2
 
 
-def test_waveprop_is_used_with_even_samples_only() -> None:
-    with pytest.raises(OpticsError, match="even"):
-        waveprop_peer.WavepropCamera(Camera(), Scene(), Embedding(), samples=(380, 507))
-
-
 def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     """Inversion, colours and scale agree: what is left is its sampling of the mask."""
     peer = next(peer for peer in PEERS if peer.name == "waveprop")
@@ -46,21 +35,3 @@ def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     job = TransferJob(quick=True)
     (chosen,) = peer.transfer(job)
     assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
-
-
-def test_peers_join_our_settings_and_say_why_they_do_not() -> None:
-    def nothing(_: object) -> Iterator[Setting]:
-        return iter(())
-
-    class Absent:
-        def load(self) -> None:
-            raise ImportError("no such library")
-
-    job = FieldJob(quick=True)
-    ours = [setting.label for setting in job.job().settings]
-    theirs = replace(job.job().settings[0], method="another")
-    there = accuracy.Peer("there", lambda: None, nothing, nothing, lambda _: iter([theirs]))
-    absent = accuracy.Peer("absent", Absent().load, nothing, nothing, nothing)
-    assert (there.missing(), absent.missing()) == ("", "ImportError: no such library")
-    joined = accuracy.with_peers(job, [there]).settings
-    assert [setting.label for setting in joined] == [*ours, theirs.label]

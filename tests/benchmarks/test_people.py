@@ -25,7 +25,7 @@ def people(seed: int, persons: int) -> Images:
     return Images(pixels.to(torch.uint8), labels, groups)
 
 
-def test_no_person_is_both_learned_from_and_checked_with() -> None:
+def test_parts_share_no_person() -> None:
     learned, check, test = parts_of(people(1, 60), people(2, 5))
     assert learned.groups is not None
     assert check.groups is not None

@@ -10,7 +10,6 @@ from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
 from benchmarks.accuracy.geometric import GeometricShadow
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import Propagator
 from veilcam_optics.propagation.sampling import Grid
 
@@ -56,19 +55,3 @@ def test_shadow_is_magnified_from_its_point_whatever_the_phase() -> None:
     assert int((shadow.abs() > 0)[150].sum()) == 200
     assert float(shadow.abs().max()) == pytest.approx(0.5)
     assert float(shadow.norm() / field.norm()) == pytest.approx(1, rel=1e-12)
-
-
-def test_support_says_why_not() -> None:
-    near = Grid.square(64, 64, 4e-6)
-    assert "undersampled" in FresnelImpulse().supports(near, near, 1e-4, WAVELENGTH).reason
-    assert "undersampled" in FresnelTransfer().supports(near, near, 1.0, WAVELENGTH).reason
-    assert "spreads" in GeometricShadow().supports(near, near, 1e-2, WAVELENGTH).reason
-    assert "undersampled" in RayleighSommerfeld().supports(near, near, 1e-5, WAVELENGTH).reason
-    fine = Grid.square(64, 64, 0.5e-6)
-    assert "paraxial" in FresnelTransfer().supports(fine, fine, 2e-5, WAVELENGTH).reason
-
-
-def test_sum_of_too_many_pairs_is_refused() -> None:
-    grid = Grid.square(4, 4, 5e-6)
-    with pytest.raises(OpticsError, match="too large"):
-        RayleighSommerfeld(largest=100).prepare(grid, grid, 1e-3, WAVELENGTH)

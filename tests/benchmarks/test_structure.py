@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.structure import files_of_a_driver, fullest_folder, statements
+from benchmarks.structure import files_of_a_driver, statements
 
 SOURCE = '''"""A module."""
 
@@ -20,16 +20,12 @@ def area(side: int) -> int:
 '''
 
 
-def test_docstrings_are_counted_apart() -> None:
+def test_statements_and_docstrings_are_counted_apart() -> None:
     # import, assignment, def, if and two returns; three docstrings
     assert statements([SOURCE, ""]) == (6, 3)
 
 
-def test_the_fullest_folder_is_found() -> None:
-    assert fullest_folder(["a/x.py", "b/x.py", "b/y.py", "b/c/z.py"]) == ("b", 2)
-
-
-def test_a_driver_is_its_file_and_its_entries_in_tables() -> None:
+def test_driver_is_its_file_and_its_entries_in_tables() -> None:
     line = "DRIVERS = (\n    st7735r.DRIVER,\n)\n"
     other = "display = st7735r.DRIVER\n"
     assert files_of_a_driver({"registry.py": line, "panel.py": other}) == 2

@@ -21,7 +21,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
-SIZES = ((5, 4), (4, 5), (6, 6), (7, 7), (1, 8), (8, 1), (1, 1), (2, 3))
+SIZES = ((5, 4), (6, 6), (1, 8), (7, 1), (1, 1))
 """Odd, even, 1 x N, N x 1, a single pixel, non-square."""
 
 _WIDE, _NARROW = (

@@ -92,7 +92,7 @@ def test_open_area_is_exact() -> None:
     assert float(area) == pytest.approx(9 * 4 * 60e-6 * 180e-6, rel=2e-3)
 
 
-def test_a_dim_mask_stays_dim() -> None:
+def test_dim_mask_stays_dim() -> None:
     """Nothing is divided by its own maximum, neither light nor levels."""
     light = operator()
     assert relative(light(some_weights() / 2), light(some_weights()) / 4) < 1e-13

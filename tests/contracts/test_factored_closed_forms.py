@@ -210,7 +210,7 @@ def test_shift_equivariance_of_the_transfer(axis: str) -> None:
     assert relative(moved, still) < 1e-3
 
 
-def test_a_scene_pixel_further_is_an_embedding_pixel_back() -> None:
+def test_scene_pixel_further_is_an_embedding_pixel_back() -> None:
     """Where a scene pixel's image is one embedding pixel, T is Toeplitz along both axes."""
     camera, embedding = bench(), Embedding(20, 20)
     scene = Scene(rows=5, columns=5, height=5 * 1e-3 * 100, distance=0.4)

@@ -27,7 +27,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_private_file_is_read_as_written(tmp_path: Path) -> None:
     path = tmp_path / "a"
     assert read_private(path) is None
     for content in (b"one", b""):
@@ -35,7 +35,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         assert read_private(path) == content
 
 
-def test_it_is_for_its_owner_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_private_file_is_for_its_owner_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     path, seen = tmp_path / "work" / "fit.checkpoint", []
     monkeypatch.setattr(os, "fsync", lambda handle: seen.append(os.fstat(handle).st_mode))
     save_checkpoint(path, "a", STATE)
@@ -50,7 +52,7 @@ def test_it_is_for_its_owner_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert mode(path) == 0o600
 
 
-def test_what_dead_writers_left_is_removed(tmp_path: Path) -> None:
+def test_leftovers_of_dead_writers_are_removed(tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
@@ -92,6 +94,6 @@ def test_whole_but_not_for_this_torch(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_a_folder_in_its_place(tmp_path: Path) -> None:
+def test_folder_in_its_place(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"cannot be read \(Is a directory\): remove it"):
         read_private(tmp_path)

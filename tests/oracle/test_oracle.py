@@ -58,7 +58,7 @@ def test_near_a_large_hole_light_is_its_shadow() -> None:
     assert np.abs(found.reshape(4, 4) - wanted).max() < 5e-2
 
 
-def test_a_scene_at_an_angle_is_fainter_by_the_fourth_power_of_its_cosine() -> None:
+def test_scene_at_an_angle_is_fainter_by_the_fourth_power_of_its_cosine() -> None:
     """Lambert, the tilted plane, and the distance; the sensor sees all of the hole's light."""
     wide = Axis(1, 10e-6, 1, 1, 100e-6, 1, 1, 1e-6)
     steep = Axis(1, 10e-6, 1, 1, 100e-6, 1, 3, 0.25)
@@ -68,7 +68,7 @@ def test_a_scene_at_an_angle_is_fainter_by_the_fourth_power_of_its_cosine() -> N
 
 
 @pytest.mark.slow
-def test_a_wide_scene_pixel_is_as_bright_as_all_of_it() -> None:
+def test_wide_scene_pixel_is_as_bright_as_all_of_it() -> None:
     """A point in its middle stands for a pixel of 45 degrees as 25 points do, where all is seen."""
     wide = Axis(1, 30e-6, 1, 1, 3e-6, 1, 1, 0.8)
     found = [
@@ -99,7 +99,7 @@ def test_cells_of_two_sizes_stand_for_none() -> None:
     assert off[0] < off[1] / 3
 
 
-def test_an_odd_closed_part_leaves_apertures_in_the_middle() -> None:
+def test_odd_closed_part_leaves_apertures_in_the_middle() -> None:
     """One part of five is open at one end of its cells: a mirrored mask gives mirrored light."""
     axis = Axis(3, 12e-6, 2, 5, 36e-6, 6, 1, 1e-6)
     straight = Light(axis, axis, 100e-6, (Beam(0, WAVELENGTH, 0.3, 1.0),))
@@ -146,7 +146,7 @@ def test_everyday_jobs_have_no_conditions() -> None:
         assert 40e-6 <= job.camera.panel.pitch_y <= 110e-6
 
 
-def test_a_reading_saturates_is_lifted_and_rounded() -> None:
+def test_reading_saturates_is_lifted_and_rounded() -> None:
     conditions = Conditions(
         electrons=100.0, full_well=50.0, black_level=0.12, adc_bits=2, adc_range=0.6
     )
@@ -162,7 +162,7 @@ def _ordinary() -> Job:
     return Job(camera, Scene(2, 2, 0.02, 0.4), Embedding(4, 4), Conditions(), 1e-2, fills)
 
 
-def test_a_lying_planner_is_caught() -> None:
+def test_lying_planner_is_caught() -> None:
     """The cheapest plan as the most accurate one: neither honest, nor has it reached anything."""
 
     def boast(
@@ -182,7 +182,7 @@ def test_a_lying_planner_is_caught() -> None:
     assert figures["oracle_worst_reached_ratio"] > 3
 
 
-def test_a_timid_planner_is_caught() -> None:
+def test_timid_planner_is_caught() -> None:
     """Who promises nothing is honest, and not sharp; what it could have reached is counted."""
 
     def doubt(
@@ -199,7 +199,7 @@ def test_a_timid_planner_is_caught() -> None:
     assert figures["oracle_reached_fraction"] == 0
 
 
-def test_an_oracle_doubts_masks_that_it_did_not_look_at_closely() -> None:
+def test_oracle_doubts_masks_that_it_did_not_look_at_closely() -> None:
     """The second mask's light changes three times as much as the first's, and is as bright."""
     larger = np.ones((2, 1, 4))
     smaller = larger + np.array([0.01, 0.03])[:, None, None]
@@ -208,7 +208,7 @@ def test_an_oracle_doubts_masks_that_it_did_not_look_at_closely() -> None:
     assert judging._elsewhere([larger, larger], [0]) == 1
 
 
-def test_what_is_not_judged_is_counted_apart() -> None:
+def test_jobs_without_a_judgement_are_counted_apart() -> None:
     refused = judge_job(replace(_ordinary(), tolerance=2.0))
     late = judge_job(_ordinary(), limit=1e-3)
     unsure = Result(2, 1e-2, (), predicted=1e-3, true=1e-3, oracle_error=1e-3)
@@ -221,7 +221,7 @@ def test_what_is_not_judged_is_counted_apart() -> None:
     assert len(reasons(results)) == 3
 
 
-def test_it_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that was cut off is judged again; the others are not."""
     judged: list[int] = []
 

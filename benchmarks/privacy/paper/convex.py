@@ -30,6 +30,14 @@ from benchmarks.privacy.paper.cells import (
     published,
     row,
 )
+from benchmarks.privacy.paper.convex_attack import (
+    BinnedConvolution,
+    ConvexAttack,
+    Normal,
+    descend,
+    psf_samples,
+    tune,
+)
 from benchmarks.privacy.paper.pictures import draw, kept
 from torch import Tensor
 
@@ -38,14 +46,6 @@ from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
-from veilcam_training.attacks.convex import (
-    BinnedConvolution,
-    ConvexAttack,
-    Normal,
-    descend,
-    psf_samples,
-    tune,
-)
 from veilcam_training.attacks.metrics import psnr
 from veilcam_training.data import open_source
 from veilcam_training.seeding import stream

@@ -30,13 +30,7 @@ from benchmarks.privacy.paper.cells import (
     published,
     row,
 )
-from benchmarks.privacy.paper.masks import KINDS, Kind, embedded, stored_mask
-from benchmarks.privacy.paper.pictures import draw, kept
-from torch import Tensor
-
-from veilcam_optics.camera.geometry import Camera, Embedding
-from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.attacks.generator import (
+from benchmarks.privacy.paper.generator_attack import (
     LIGHT,
     PAPER,
     GeneratorTrial,
@@ -44,6 +38,12 @@ from veilcam_training.attacks.generator import (
     best_generator,
     paper_trial,
 )
+from benchmarks.privacy.paper.masks import KINDS, Kind, embedded, stored_mask
+from benchmarks.privacy.paper.pictures import draw, kept
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.attacks.metrics import psnr
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.seeding import stream

@@ -185,7 +185,7 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     assert not list(tmp_path.glob("*.veilcam"))
 
 
-def test_a_keyring_for_a_binning_that_no_device_makes(
+def test_keyring_for_a_binning_that_no_device_makes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     digit_folder: Path,

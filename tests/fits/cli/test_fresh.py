@@ -29,8 +29,8 @@ def small(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.mark.thorough
-def test_the_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
     out = tmp_path / "fresh.veilcam"
     command = [
         "fit-fresh",

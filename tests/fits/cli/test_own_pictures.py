@@ -28,8 +28,8 @@ def call(monkeypatch: pytest.MonkeyPatch) -> Call:
     return run
 
 
-@pytest.mark.thorough
-def test_a_folder_is_drawn_summed_up_and_fitted(
+@pytest.mark.slow
+def test_folder_is_drawn_summed_up_and_fitted(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
@@ -56,20 +56,23 @@ def test_a_folder_is_drawn_summed_up_and_fitted(
     assert "is missing" in capsys.readouterr().err
 
 
-@pytest.mark.thorough
-def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
     assert call("draw", shapes, "--count", 200) == 0
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
-    config.write_text('embedding = "6x8"\nclassifier = "CNN2"\nrank = 20\nvalidation_masks = 4')
+    config.write_text(
+        'embedding = "6x8"\nclassifier = "CNN2"\nrank = 9\nvalidation_masks = 4\n'
+        "[misalignment]\npanels = 2"
+    )
     options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
     assert call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out) == 0
     bundle = read_bundle(out)
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def test_a_folder_that_is_not_empty_is_not_drawn_into(
+def test_folder_that_is_not_empty_is_not_drawn_into(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "mine.png").write_bytes(b"")

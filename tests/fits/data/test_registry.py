@@ -56,8 +56,7 @@ def write_stripes(folder: Path) -> None:
     (folder / "stripes.bin").write_bytes(torch.stack(records).to(torch.uint8).numpy().tobytes())
 
 
-@pytest.mark.thorough
-def test_a_new_data_set_is_fitted_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_new_data_set_is_fitted_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     line = {"stripes": StripesSource}
     monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, **line})
     write_stripes(tmp_path)
@@ -77,6 +76,6 @@ def test_a_new_data_set_is_fitted_from(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert bundle.accuracy.value >= 0.9
 
 
-def test_a_data_set_says_what_is_missing(tmp_path: Path) -> None:
+def test_data_set_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"stripes.bin is missing: give the folder"):
         StripesSource(tmp_path).training()

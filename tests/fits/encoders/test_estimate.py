@@ -48,7 +48,7 @@ def close(found: torch.Tensor, wanted: torch.Tensor) -> bool:
 
 
 @pytest.mark.parametrize("snr_db", [40.0, 20.0])
-def test_it_is_what_the_optics_decode(snr_db: float) -> None:
+def test_estimate_is_what_the_optics_decode(snr_db: float) -> None:
     encoder = camera()
     estimate = SceneEstimate(encoder, snr_db)
     estimate.learn(STATISTICS)
@@ -84,7 +84,7 @@ def test_as_a_layer_it_gives_the_same(pooling: int) -> None:
     assert close(estimate.as_linear()(measurements), estimate(measurements))
 
 
-def test_a_mask_learns_through_it() -> None:
+def test_mask_learns_through_it() -> None:
     encoder = camera()
     estimate = estimate_of(encoder)
     estimate(encoder(SCENES[:5])).square().sum().backward()
@@ -95,7 +95,7 @@ def test_a_mask_learns_through_it() -> None:
     assert not estimate.state_dict()
 
 
-def test_a_sharp_mask_leaves_less_unknown_than_any_at_random() -> None:
+def test_sharp_mask_leaves_less_unknown_than_any_at_random() -> None:
     def unknown(encoder: LinearEncoder) -> float:
         decoder = prepare_decoder(encoder.transfer(), STATISTICS, scene=SCENE, embedding=EMBEDDING)
         return decoder.remaining
@@ -121,7 +121,7 @@ def test_without_noise() -> None:
     assert bool(torch.isfinite(estimate(encoder(SCENES[:5]))).all())
 
 
-def test_what_is_refused() -> None:
+def test_estimate_with_bad_settings_is_refused() -> None:
     with pytest.raises(TrainingError, match="pooling = 4 does not divide"):
         SceneEstimate(camera(), 40.0, 4)
     setup = Setup(CAMERA, Scene(rows=100, columns=100), EMBEDDING)
@@ -140,7 +140,7 @@ def settings(**changes: Any) -> Settings:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
-def test_a_bundle_reads_without_it(source: Source, tmp_path: Path, encoder: str) -> None:
+def test_bundle_reads_without_it(source: Source, tmp_path: Path, encoder: str) -> None:
     """The daemon's network gives, from a bare measurement, what the fitted model gives."""
     check_pairs(settings(encoder=encoder), source, CAMERA)  # before anything is known of scenes
     result = run_fit(settings(encoder=encoder), source, CAMERA)
@@ -160,7 +160,7 @@ def test_a_bundle_reads_without_it(source: Source, tmp_path: Path, encoder: str)
 
 
 @pytest.mark.parametrize("start", ["random", "sharp"])
-def test_a_mask_that_stays(source: Source, start: str) -> None:
+def test_mask_that_stays(source: Source, start: str) -> None:
     recipe = RECIPE.model_copy(update={"mask_rate": 0.0, "mask_start": start})
     chosen = settings(recipe=recipe)
     model = make_model(chosen, source, CAMERA)
@@ -193,7 +193,7 @@ def test_scenes_are_learned_from_the_training_part_alone(source: Source) -> None
         ({"classifier": "LR", "recipe": Recipe(mask_start="sharp")}, "use ResNet<width>"),
     ],
 )
-def test_what_it_cannot_be_combined_with(
+def test_estimate_cannot_be_combined_with_other_options(
     source: Source, changes: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(TrainingError, match=reason):

@@ -77,7 +77,7 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_one_process_is_this_one() -> None:
+def test_executor_here_runs_in_this_process() -> None:
     ((index, (process, _, _)),) = HERE.run(place, [0])
     assert (index, process) == (0, os.getpid())
     with pytest.raises(TrainingError, match="not valid"):
@@ -97,28 +97,28 @@ def test_results_come_with_the_index_of_their_task(
     assert all(np.array_equal(tensor, torch.ones(1000)) for _, _, tensor in results.values())
 
 
-@pytest.mark.thorough
-def test_a_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
+@pytest.mark.slow
+def test_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
     assert list(workers.run(kill_once, [folder])) == [(0, 1)]
     assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.thorough
-def test_a_task_that_kills_every_worker(workers: Executor, folder: Path) -> None:
+@pytest.mark.slow
+def test_task_that_kills_every_worker(workers: Executor, folder: Path) -> None:
     with pytest.raises(TrainingError, match=r"workers were lost 3 times .* use fewer"):
         list(workers.run(kill, [folder]))
     assert len(list(folder.iterdir())) == ATTEMPTS
 
 
 @pytest.mark.slow
-def test_what_a_task_raises_is_raised(workers: Executor) -> None:
+def test_error_of_a_task_is_raised(workers: Executor) -> None:
     with pytest.raises(TrainingError) as caught:
         list(workers.run(refuse, [1]))
     assert str(caught.value) == "value = 1 is not valid"
     assert "in refuse" in str(caught.value.__cause__)  # where, in the worker
 
 
-def test_nothing_to_do() -> None:
+def test_executor_without_tasks_starts_nothing() -> None:
     assert list(LocalExecutor(2).run(place, [])) == []
 
 
@@ -178,8 +178,8 @@ def fit_pairs(monkeypatch: pytest.MonkeyPatch, data: Path, out: Path, *options: 
     return read_bundle(out)
 
 
-@pytest.mark.thorough
-def test_a_keyring_is_the_same_wherever_it_is_made(
+@pytest.mark.slow
+def test_keyring_is_the_same_wherever_it_is_made(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
     bundles, out = [], tmp_path / "a.veilcam"
@@ -196,9 +196,7 @@ def test_a_keyring_is_the_same_wherever_it_is_made(
 
 
 @pytest.mark.slow
-def test_a_cluster_is_started_for_local_alone(
-    monkeypatch: pytest.MonkeyPatch, cluster: str
-) -> None:
+def test_cluster_is_started_for_local_alone(monkeypatch: pytest.MonkeyPatch, cluster: str) -> None:
     import ray
 
     ray.shutdown()  # what the fixture connected
@@ -221,7 +219,7 @@ def test_a_cluster_is_started_for_local_alone(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", ""])
-def test_an_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+def test_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     import ray
 
     monkeypatch.setattr(ray, "is_initialized", lambda: False)

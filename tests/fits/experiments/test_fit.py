@@ -62,13 +62,13 @@ def refused(chosen: Settings, source: Source) -> str:
 # --- bad data
 
 
-def test_a_damaged_test_set_costs_no_fit(plain_folder: Path) -> None:
+def test_damaged_test_set_costs_no_fit(plain_folder: Path) -> None:
     path = plain_folder / "t10k-images-idx3-ubyte"
     path.write_bytes(path.read_bytes()[:-1])
     assert "bytes but says" in refused(settings(), open_source("mnist", plain_folder))
 
 
-def test_an_empty_test_set_costs_no_fit(digit_folder: Path) -> None:
+def test_empty_test_set_costs_no_fit(digit_folder: Path) -> None:
     class Untested(IdxSource):
         def test(self) -> Images:
             return super().test().take(torch.arange(0))
@@ -97,7 +97,7 @@ def outcome(source: Source) -> FitResult:
     return run_fit(settings(), source, Camera())
 
 
-def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResult) -> None:
+def test_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResult) -> None:
     class Mistaken(IdxSource):
         def test(self) -> Images:
             images = super().test()
@@ -117,6 +117,12 @@ def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResul
 
 # --- how far its transfer is from full reach
 
+
+@pytest.fixture(autouse=True)
+def transfer_check() -> None:
+    """Leave the check of a transfer as it is."""
+
+
 SMALL_CAMERA = Camera(
     panel=Panel(32, 32, 8e-6, 8e-6, 7e-6, 7e-6, filter_cycle=()),
     window=Window(8, 8, 0, 0),
@@ -130,7 +136,7 @@ PANEL = PanelErrors(gamma=0.3, floor=0.1, shift=1e-5)
 
 @pytest.mark.parametrize("errors", [PanelErrors(), PANEL])
 @pytest.mark.parametrize("kind", [LearnedMask, FixedMask])
-def test_what_is_checked_is_what_training_used(
+def test_transfer_that_is_checked_is_what_training_used(
     kind: type[Mask], errors: PanelErrors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To rounding, on an ideal panel: what is beyond the reach is a thousand times as much."""
@@ -162,7 +168,7 @@ def whole_error(encoder: Mask, scene: Scene) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", [False, True])
-def test_a_transfer_s_error_is_that_of_all_pairs(*, colour: bool) -> None:
+def test_transfer_s_error_is_that_of_all_pairs(*, colour: bool) -> None:
     """One interval of ten may miss: what has to hold is three times as wide."""
     setup = replace(SMALL_SETUP, colour=colour)
     encoder = LearnedMask(setup, stream(0, "encoder"))
@@ -176,7 +182,7 @@ def test_a_transfer_s_error_is_that_of_all_pairs(*, colour: bool) -> None:
 
 
 @pytest.mark.slow
-def test_the_worst_grid_counts() -> None:
+def test_worst_grid_counts() -> None:
     finer = replace(SMALL_SETUP, finer=(Scene(3, 2, height=0.005),))
     encoder = LearnedMask(finer, stream(0, "encoder"))
     alone = LearnedMask(SMALL_SETUP, stream(0, "encoder"))
@@ -207,7 +213,7 @@ def test_without_a_panel_there_is_no_mask_to_check(source: Source) -> None:
     ("encoder", "rectified"),
     [("learned", True), ("digital", True), ("fixed_simulated", False), ("lens", False)],
 )
-def test_a_learned_sensor_is_rectified(
+def test_learned_sensor_is_rectified(
     source: Source, encoder: str, normalisation: str, *, rectified: bool
 ) -> None:
     recipe = SMALL.model_copy(update={"normalisation": normalisation})

@@ -21,7 +21,7 @@ from veilcam_training.data import Source, open_source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments import fit as fitting
-from veilcam_training.experiments.fit import run_fresh
+from veilcam_training.experiments.fit import FreshResult, run_fresh
 from veilcam_training.experiments.keyring import as_fresh_bundle
 from veilcam_training.models.network import build_classifier
 from veilcam_training.trainer.evaluation import evaluate
@@ -45,27 +45,43 @@ def settings(**changes: Any) -> FreshSettings:
     return FreshSettings(**{**small, **changes})
 
 
+@pytest.fixture(scope="module")
+def fitted(
+    source: Source, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[FreshResult, FreshResult]:
+    """A fit with learned ranges, and the same again from its work folder."""
+    chosen, work = settings(epochs=6, spread=0.4), tmp_path_factory.mktemp("work")
+    one, again = (run_fresh(chosen, source, CAMERA, work=work, masks=50) for _ in range(2))
+    return one, again
+
+
 @pytest.mark.slow
-def test_it_learns_and_serves_a_new_mask_for_every_capture(source: Source) -> None:
-    result = run_fresh(settings(epochs=6), source, CAMERA)
-    assert result.masks == 100
+def test_fit_learns_to_read_behind_new_masks(fitted: tuple[FreshResult, FreshResult]) -> None:
+    result, again = fitted
+    assert result.masks == 50
     assert result.accuracy.value > 0.9
     assert result.fit.history[-1].loss < 0.7 * result.fit.history[0].loss
     # With a decoder of another mask little is left, even of a task as coarse as this one.
     assert result.wrong_key_accuracy < result.accuracy.value - 0.3
+    # Nothing is left to do, and the same comes of it.
+    assert again.accuracy == result.accuracy
+    one, other = result.camera.distribution, again.camera.distribution
+    assert np.array_equal(one.lowest, other.lowest)
+    assert np.array_equal(one.highest, other.highest)
+    assert 0 < one.bits < MaskDistribution.power(CAMERA, 1.0).bits
 
 
 @pytest.mark.slow
-def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
-    source: Source, tmp_path: Path
+def test_bundle_classifies_behind_a_mask_from_its_key_policy(
+    source: Source, fitted: tuple[FreshResult, FreshResult], tmp_path: Path
 ) -> None:
-    chosen = settings(epochs=6, spread=0.4)
-    result = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
+    result, _ = fitted
     write_bundle(tmp_path / "a.veilcam", as_fresh_bundle(result, source, CAMERA))
     bundle = read_bundle(tmp_path / "a.veilcam")
     fresh = bundle.fresh
     assert fresh is not None
     assert bundle.accuracy == result.accuracy
+    assert np.array_equal(fresh.distribution.lowest, result.camera.distribution.lowest)
     levels = draw_levels(os.urandom(32), camera=CAMERA, distribution=fresh.distribution)
     weights = torch.from_numpy(to_weights(levels, CAMERA.panel))
     decoder = (
@@ -77,9 +93,6 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     classifier = build_classifier(fresh.layers, fresh.weights)
     predicted = classifier(classifier_inputs(decoder, measurements, fresh.features)).argmax(1)
     assert float((predicted == test.labels).float().mean()) > 0.8
-    # Nothing is left to do, and the same comes of it.
-    again = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
-    assert again.accuracy == result.accuracy
 
 
 def test_statistics_of_another_fit_are_refused(
@@ -106,20 +119,6 @@ def test_statistics_of_another_fit_are_refused(
     monkeypatch.setattr(fitting, "fresh_statistics", None)
     with pytest.raises(StopError):
         run_fresh(settings(batch=16), source, CAMERA, work=work)
-
-
-@pytest.mark.slow
-def test_what_is_learned_of_masks_is_taken_up_and_published(source: Source, tmp_path: Path) -> None:
-    chosen = settings(spread=0.3, epochs=2)
-    whole = run_fresh(chosen, source, CAMERA, work=tmp_path, masks=10)
-    again = run_fresh(chosen, source, CAMERA, work=tmp_path, masks=10)  # nothing is left to do
-    one, other = whole.camera.distribution, again.camera.distribution
-    assert np.array_equal(one.lowest, other.lowest)
-    assert np.array_equal(one.highest, other.highest)
-    assert 0 < one.bits < MaskDistribution.power(CAMERA, 1.0).bits
-    bundle = as_fresh_bundle(whole, source, CAMERA)
-    assert bundle.fresh is not None
-    assert np.array_equal(bundle.fresh.distribution.lowest, one.lowest)
 
 
 @pytest.mark.slow

@@ -48,7 +48,9 @@ def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
 @pytest.mark.parametrize(
     "shape", [(1, 24, 32), (1, 12, 16), (1, 6, 8), (1, 3, 4), (3, 27, 36), (3, 13, 17), (3, 3, 4)]
 )
-def test_it_fits_the_papers_embeddings(name: str, shape: tuple[int, int, int]) -> None:
+def test_classifier_fits_the_embeddings_of_the_paper(
+    name: str, shape: tuple[int, int, int]
+) -> None:
     layers = make_layers(name, task(*shape))
     inputs = shape[0] * shape[1] * shape[2]
     assert output_shape(layers, inputs) == (10,)
@@ -80,7 +82,7 @@ def test_another_classifier_is_a_function_and_a_line(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_its_sensor_layers(name: str) -> None:
+def test_sensor_layers_of_a_classifier(name: str) -> None:
     def start(normalisation: Normalisation) -> tuple[LayerRecord, ...]:
         asked = dataclasses.replace(task(3, 12, 16), normalisation=normalisation)
         layers = make_layers(name, asked)
@@ -138,7 +140,7 @@ def test_dropout(name: str) -> None:
     assert count(make_layers(name, task())) == 0
 
 
-def test_what_is_refused() -> None:
+def test_classifier_names_that_are_refused() -> None:
     for name in ("FC", "FC0", "FC1e3", "LR5", "ResNet", "VGG16"):
         with pytest.raises(TrainingError, match="use one of LR, FC<width>"):
             make_layers(name, task())

@@ -41,8 +41,8 @@ def settings(recipe: Recipe = SMALL, **changes: Any) -> Settings:
 
 def fresh(**changes: Any) -> FreshSettings:
     small: dict[str, Any] = {
-        "embedding": "6x8",
-        "rank": 40,
+        "embedding": "3x4",
+        "rank": 20,
         "misalignment": Misalignment(panels=2),
         "classifier": "CNN4",
         "epochs": 3,
@@ -51,7 +51,7 @@ def fresh(**changes: Any) -> FreshSettings:
         "renewed": 2,
         "rate": 1e-2,
         "averaging": 0.9,
-        "validation_masks": 10,
+        "validation_masks": 4,
     }
     return FreshSettings(**{**small, **changes})
 
@@ -77,9 +77,12 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return open_source("mnist", write_digits(tmp_path_factory.mktemp("few"), 300, 100, packed=True))
 
 
+ONCE = SMALL.model_copy(update={"epochs": 1})
+
+
 @pytest.fixture(scope="module")
 def reference(few: Source) -> Fit:
-    return run(few, settings())
+    return run(few, settings(ONCE))
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +91,7 @@ def fresh_reference(few: Source) -> Fit:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "digital"])
-def test_it_learns(source: Source, encoder: str) -> None:
+def test_fit_learns(source: Source, encoder: str) -> None:
     outcome = run_fit(
         settings(SMALL.model_copy(update={"epochs": 8, "batch": 30}), encoder=encoder),
         source,
@@ -101,9 +104,10 @@ def test_it_learns(source: Source, encoder: str) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
+    ("chosen", "other"),
+    [(settings(), settings(seed=1)), (fresh(epochs=1), fresh(epochs=1, seed=1))],
 )
-def test_the_same_seed_gives_the_same_result(
+def test_same_seed_gives_the_same_result(
     few: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
 ) -> None:
     first = run(few, chosen)
@@ -114,7 +118,7 @@ def test_the_same_seed_gives_the_same_result(
     assert not torch.equal(weights_of(run(few, other)), weights_of(first))
 
 
-def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
+def test_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -150,28 +154,19 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
         {"snr_db": 20.0},
         {"snr_db": None},
         {"normalisation": "shared"},
+        {"classifier": "FC20"},
+        {"embedding": "3x4"},
+        {"binning": "point"},
     ],
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items()),
 )
 def test_every_option_changes_the_result(
     few: Source, reference: Fit, changes: dict[str, Any]
 ) -> None:
-    changed = run(few, settings(SMALL.model_copy(update=changes)))
-    before, after = weights_of(reference), weights_of(changed)
+    recipe = ONCE.model_copy(update={k: v for k, v in changes.items() if hasattr(ONCE, k)})
+    others = {k: v for k, v in changes.items() if not hasattr(ONCE, k)}
+    before, after = weights_of(reference), weights_of(run(few, settings(recipe, **others)))
     assert before.shape != after.shape or not torch.equal(before, after)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"binning": "point"}]
-)
-def test_every_setting_changes_the_result(
-    few: Source, reference: Fit, changes: dict[str, Any]
-) -> None:
-    after = weights_of(run(few, settings(**changes)))
-    assert after.shape != weights_of(reference).shape or not torch.equal(
-        after, weights_of(reference)
-    )
 
 
 @pytest.mark.slow
@@ -179,7 +174,7 @@ def test_every_setting_changes_the_result(
     "changes",
     [
         {"exponent": 4.0},
-        {"rank": 20},
+        {"rank": 10},
         {"snr_db": 20.0},
         {"misalignment": None},
         {"misalignment": Misalignment(shift=5e-5, panels=2)},
@@ -200,7 +195,7 @@ def test_every_setting_changes_the_result(
         {"bfloat16": False},
         {"spread": 0.4},
         {"seed": 1},
-        {"validation_masks": 20},
+        {"validation_masks": 8},
     ],
     ids=lambda changes: "-".join(map(str, changes)),
 )
@@ -214,7 +209,7 @@ def test_every_setting_for_fresh_masks_changes_the_result(
 
 
 @pytest.mark.slow
-def test_the_rate_of_learned_ranges_changes_them(few: Source) -> None:
+def test_rate_of_learned_ranges_changes_them(few: Source) -> None:
     slow, fast = (
         run(few, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder for rate in (1e-3, 0.1)
     )
@@ -270,7 +265,7 @@ def test_early_stop(source: Source, chosen: Settings | FreshSettings) -> None:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "lens", "digital"])
-def test_the_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> None:
+def test_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> None:
     model = make_model(settings(encoder=encoder), source, Camera())
     assert isinstance(model.layers[0], Affine)
     white = model.encoder(torch.ones(1, 28, 28)).detach() * model.layers[0].scale
@@ -331,7 +326,6 @@ class StopAfter:
     "chosen",
     [
         settings(),
-        settings(encoder="fixed_simulated", classifier="FC20"),
         settings(SMALL.model_copy(update={"normalisation": "white"}), classifier="FC20"),
         settings(
             SMALL.model_copy(
@@ -345,10 +339,9 @@ class StopAfter:
             classifier="FC20",
             change="rotate",
         ),
-        fresh(),
         fresh(spread=0.3),
     ],
-    ids=["plain", "fixed", "white", "everything", "fresh", "fresh ranges"],
+    ids=["plain", "white", "everything", "fresh ranges"],
 )
 def test_resumed_is_the_same_as_unbroken(
     few: Source, tmp_path: Path, chosen: Settings | FreshSettings
@@ -382,7 +375,7 @@ from veilcam_training.experiments.fit import run_fit
 
 class Kill:
     def step(self, epoch, done, steps):
-        if (epoch, done) == (2, 3):
+        if (epoch, done) == (1, 3):
             os.kill(os.getpid(), signal.SIGKILL)
     def epoch(self, epoch):
         pass
@@ -395,20 +388,21 @@ run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kil
 
 @pytest.mark.thorough
 def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: Path) -> None:
-    chosen, path = settings(), tmp_path / "fit.checkpoint"
+    recipe = SMALL.model_copy(update={"epochs": 2})
+    chosen, path = settings(recipe), tmp_path / "fit.checkpoint"
     arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]
     killed = subprocess.run([sys.executable, "-c", KILLED, *arguments], check=False)
     assert killed.returncode == -signal.SIGKILL
     saved = checkpoints.load_checkpoint(path, chosen.fingerprint(source))
     assert saved is not None
-    assert len(saved["history"]) == 2
+    assert len(saved["history"]) == 1
     resumed = run_fit(chosen, source, Camera(), checkpoint=path)
     unbroken = run_fit(chosen, source, Camera())
     assert torch.equal(weights_of(resumed.fit), weights_of(unbroken.fit))
     assert resumed.accuracy == unbroken.accuracy
 
 
-def test_a_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
+def test_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
     run_fit(settings(SMALL.model_copy(update={"epochs": 1})), source, Camera(), checkpoint=path)
     with pytest.raises(TrainingError, match="of another fit"):
@@ -416,7 +410,7 @@ def test_a_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("data", [b"", b"nothing", b"PK\x03\x04 broken"])
-def test_a_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "fit.checkpoint"
     path.write_bytes(data)
     with pytest.raises(TrainingError, match=r"cannot be read .* remove it") as caught:
@@ -424,7 +418,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_the_epoch_that_validates_best_is_kept(source: Source) -> None:
+def test_epoch_that_validates_best_is_kept(source: Source) -> None:
     # At this rate the last epochs of a constant schedule are no better than earlier ones.
     recipe = Recipe(epochs=6, batch=90, rate=1.0, mask_rate=0.5, schedule="constant")
     result = run(source, settings(recipe))
@@ -436,7 +430,7 @@ def test_the_epoch_that_validates_best_is_kept(source: Source) -> None:
     assert not result.model.training
 
 
-def test_a_running_mean_of_weights(source: Source) -> None:
+def test_running_mean_of_weights(source: Source) -> None:
     model = make_model(settings(), source, Camera())
     weight = next(model.classifier.parameters())
     with torch.no_grad():
@@ -457,7 +451,7 @@ def test_a_running_mean_of_weights(source: Source) -> None:
     assert str(resumed.state_dict()) == str(average.state_dict())
 
 
-def test_a_loss_that_is_no_number(source: Source) -> None:
+def test_loss_that_is_no_number(source: Source) -> None:
     recipe = Recipe(epochs=2, batch=90, optimiser="sgd", rate=10.0, mask_rate=1e-3)
     model = make_model(settings(recipe), source, Camera())
     with torch.no_grad():
@@ -466,7 +460,7 @@ def test_a_loss_that_is_no_number(source: Source) -> None:
         fit(model, split(source.training()), recipe, 0)
 
 
-def test_nothing_to_evaluate(source: Source) -> None:
+def test_evaluation_without_images_is_refused(source: Source) -> None:
     model = make_model(settings(), source, Camera())
     with pytest.raises(TrainingError, match="no images"):
         evaluate(model, source.test().take(torch.arange(0)), 0, "test")

@@ -35,7 +35,7 @@ def lower(size: int, name: str) -> Values:
 @pytest.mark.parametrize("transposed", [False, True])
 @pytest.mark.parametrize("size", [1, 3, 63, 64, 65, 130])
 @pytest.mark.parametrize("columns", [0, 1, 5])
-def test_a_triangle_is_solved_alike(size: int, columns: int, transposed: bool, name: str) -> None:
+def test_triangle_is_solved_alike(size: int, columns: int, transposed: bool, name: str) -> None:
     factor = lower(size, name)
     # What is above the diagonal is not looked at.
     given = factor + np.triu(np.full((size, size), np.nan, name), 1)
@@ -56,7 +56,7 @@ def test_a_triangle_is_solved_alike(size: int, columns: int, transposed: bool, n
 
 
 @pytest.mark.parametrize("library", [np.asarray, torch.tensor])
-def test_a_matrix_that_has_no_factor(library: Any) -> None:
+def test_matrix_that_has_no_factor(library: Any) -> None:
     definite = np.array([[4.0, 2.0], [2.0, 5.0]])
     found = cholesky(library(definite))
     assert np.allclose(np.asarray(found), [[2, 0], [1, 2]], rtol=1e-15, atol=0)
@@ -67,7 +67,7 @@ def test_a_matrix_that_has_no_factor(library: Any) -> None:
 
 @pytest.mark.parametrize("name", UNITS)
 @pytest.mark.parametrize("inference", [True, False])
-def test_what_is_overwritten_is_zeros_through_every_view(name: str, inference: bool) -> None:
+def test_overwritten_arrays_are_zeros_through_every_view(name: str, inference: bool) -> None:
     with torch.inference_mode(inference):
         tensor = torch.ones(3, 4, dtype=getattr(torch, name))
     array = np.ones((3, 4), name)
@@ -77,7 +77,7 @@ def test_what_is_overwritten_is_zeros_through_every_view(name: str, inference: b
     assert not bool(tensor.any())
 
 
-def test_a_number_has_the_type_that_is_asked_for() -> None:
+def test_number_has_the_type_that_is_asked_for() -> None:
     array, tensor = np.ones(2, np.float32), torch.ones(2)
     assert as_type(array, "float64").dtype == np.float64
     assert as_type(tensor, "float64").dtype == torch.float64
@@ -96,7 +96,7 @@ def test_gradients_are_torch_s_alone() -> None:
     assert detached(array) is array
 
 
-def test_the_ends_of_an_array() -> None:
+def test_ends_of_an_array() -> None:
     values = np.array([[0.5, -2.0], [7.0, 1.0]])
     assert ends(values) == ends(torch.tensor(values, requires_grad=True)) == (-2.0, 7.0)
     values[1, 1] = np.nan

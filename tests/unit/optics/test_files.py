@@ -16,7 +16,7 @@ def fail(*_: Any) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_the_old_file_stands_until_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_old_file_stands_until_the_new_one_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "file"
     write_whole(path, b"old")
     with replacing(path) as stream:
@@ -27,7 +27,7 @@ def test_the_old_file_stands_until_the_new_one_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", ["open", "fsync", "replace"])
-def test_a_disk_that_refuses_leaves_the_old_file(
+def test_disk_that_refuses_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     path = tmp_path / "file"
@@ -40,7 +40,7 @@ def test_a_disk_that_refuses_leaves_the_old_file(
     assert os.listdir(tmp_path) == ["file"]
 
 
-def test_a_writer_that_breaks_off_leaves_the_old_file(tmp_path: Path) -> None:
+def test_writer_that_breaks_off_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     write_whole(path, b"old")
     with pytest.raises(ValueError, match="closed"), replacing(path) as stream:
@@ -73,7 +73,7 @@ def test_all_is_on_the_disk_before_the_name_and_the_name_before_the_end(
 
 
 @pytest.mark.parametrize(("private", "mode"), [(True, 0o600), (False, 0o640)])
-def test_who_may_read_it(tmp_path: Path, private: bool, mode: int) -> None:
+def test_file_is_readable_by_whom_it_should(tmp_path: Path, private: bool, mode: int) -> None:
     before = os.umask(0o027)
     try:
         write_whole(tmp_path / "file", b"", private=private)
@@ -82,7 +82,7 @@ def test_who_may_read_it(tmp_path: Path, private: bool, mode: int) -> None:
     assert stat.S_IMODE((tmp_path / "file").stat().st_mode) == mode
 
 
-def test_what_is_created_was_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_created_file_was_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "secret"
     create_private(path, b"first")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600

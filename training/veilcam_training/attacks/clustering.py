@@ -43,6 +43,12 @@ def k_means(
     return torch.from_numpy(groups).long()
 
 
+def by_directions(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
+    """Group points of length 1 by k-means: the exposure of a capture does not count."""
+    unit = points / points.norm(dim=1, keepdim=True).clamp_min(1e-30)
+    return k_means(unit, clusters, generator)
+
+
 def subspace_clusters(
     points: Tensor,
     clusters: int,

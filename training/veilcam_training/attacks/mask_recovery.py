@@ -6,17 +6,14 @@ left. Each search starts at several random masks; the one that is taken is the o
 captures best, so that no start is chosen by the truth.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, Self
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.decoding import SceneDecoding
-from veilcam_training.attacks.leaked import log_likelihoods
 from veilcam_training.attacks.networks import Progress
 from veilcam_training.errors import require
 
@@ -100,31 +97,6 @@ class MeanCapture:
         return likelihood
 
 
-@dataclass(frozen=True)
-class UnknownPictures:
-    """Captures of unknown pictures, as they were read: mean and covariance at once.
-
-    It is exact where pictures are normal, and slower than :class:`MeanCapture` by the product of
-    transfer and covariance: a search is to start from what the mean found.
-
-    Args:
-        decoding: operator, statistics and noise, all public.
-        released: (count, E).
-    """
-
-    decoding: SceneDecoding
-    released: Tensor
-
-    def near(self, weights: Tensor) -> Likelihood:
-        """Return the likelihood itself: its noise follows the weights that it is asked for."""
-        del weights
-        return self._likelihood
-
-    def _likelihood(self, weights: Tensor) -> Tensor:
-        mean, response, noise = _moments(self.decoding, weights)
-        return -log_likelihoods(self.released, mean, response, noise).sum()
-
-
 def _moments(decoding: SceneDecoding, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Mean (E,), response (E, rank) and variance of the noise (E,) of captures behind a mask."""
     statistics = decoding.statistics
@@ -136,49 +108,9 @@ def _moments(decoding: SceneDecoding, weights: Tensor) -> tuple[Tensor, Tensor, 
     return mean, reduced, noise.variance(mean, spread) + lost
 
 
-@dataclass(frozen=True)
-class MaskPrior:
-    """Prior of weights, each on its own: a mixture of normal laws.
-
-    Attributes:
-        shares: share of each law; their sum is 1.
-        centres: centre of each law.
-        deviations: deviation of each law.
-    """
-
-    shares: tuple[float, ...] = (1.0,)
-    centres: tuple[float, ...] = (0.5,)
-    deviations: tuple[float, ...] = (12**-0.5,)
-    """Mean and deviation of weights that are uniform in [0, 1]."""
-
-    @classmethod
-    def of(cls, masks: Sequence[Tensor], least: float = 0.05) -> Self:
-        """Return the prior of masks made as the camera's were, by their closed and open sub-pixels.
-
-        Args:
-            masks: the attacker's own.
-            least: deviation of a law.
-        """
-        values = torch.cat([mask.flatten().float() for mask in masks])
-        kinds = [part for part in (values[values < 0.5], values[values >= 0.5]) if len(part)]
-        return cls(
-            tuple(len(part) / len(values) for part in kinds),
-            tuple(float(part.mean()) for part in kinds),
-            tuple(max(least, float(part.std(correction=0))) for part in kinds),
-        )
-
-    def __call__(self, weights: Tensor) -> Tensor:
-        """Minus the logarithm of the density, up to a constant."""
-        laws = [
-            math.log(share / deviation) - ((weights - centre) / deviation).square() / 2
-            for share, centre, deviation in zip(
-                self.shares, self.centres, self.deviations, strict=True
-            )
-        ]
-        return -torch.logsumexp(torch.stack(laws), dim=0).sum()
-
-
-UNIFORM = MaskPrior()
+def _minus_log_prior(weights: Tensor) -> Tensor:
+    """Minus the logarithm of a normal density with the mean and deviation of uniform weights."""
+    return 6 * (weights - 0.5).square().sum()
 
 
 @dataclass(frozen=True)
@@ -207,9 +139,7 @@ def recover_mask(
     evidence: Evidence,
     shape: tuple[int, int],
     *,
-    prior: MaskPrior = UNIFORM,
     search: Search = SEARCH,
-    start: Tensor | None = None,
     generator: torch.Generator,
     progress: Progress | None = None,
 ) -> RecoveredMask:
@@ -218,9 +148,7 @@ def recover_mask(
     Args:
         evidence: evidence about the mask.
         shape: ``camera.mask_shape``.
-        prior: prior of masks.
         search: steps and starts.
-        start: weights to start from, in place of random ones.
         generator: draws where to start.
         progress: called with starts done and to do.
 
@@ -232,20 +160,17 @@ def recover_mask(
     """
     require(min(search.starts, search.steps) > 0, "a search without a step finds nothing: use 1")
     found = []
-    for number in range(search.starts if start is None else 1):
-        hidden = torch.randn(shape, generator=generator) / 2
-        if start is not None:
-            hidden = torch.logit(start.clamp(1e-3, 1 - 1e-3))
-        weights = _descend(evidence, hidden, prior, search)
+    for number in range(search.starts):
+        weights = _descend(evidence, torch.randn(shape, generator=generator) / 2, search)
         with torch.no_grad():
-            loss = evidence.near(weights)(weights) + prior(weights)
+            loss = evidence.near(weights)(weights) + _minus_log_prior(weights)
         found.append(RecoveredMask(weights, float(loss)))
         if progress is not None:
-            progress(number + 1, search.starts if start is None else 1)
+            progress(number + 1, search.starts)
     return min(found, key=lambda mask: mask.loss)
 
 
-def _descend(evidence: Evidence, hidden: Tensor, prior: MaskPrior, search: Search) -> Tensor:
+def _descend(evidence: Evidence, hidden: Tensor, search: Search) -> Tensor:
     hidden.requires_grad_()
     optimiser = torch.optim.Adam([hidden], search.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, search.steps)
@@ -255,35 +180,22 @@ def _descend(evidence: Evidence, hidden: Tensor, prior: MaskPrior, search: Searc
             likelihood = evidence.near(torch.sigmoid(hidden.detach()))
         optimiser.zero_grad()
         weights = torch.sigmoid(hidden)
-        (likelihood(weights) + prior(weights)).backward()  # type: ignore[no-untyped-call]
+        (likelihood(weights) + _minus_log_prior(weights)).backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         schedule.step()
     return torch.sigmoid(hidden.detach())
 
 
-Choice = Literal["white", "points", "stripes"]
-
-
-def chosen_pictures(choice: Choice, scene: Scene, count: int = 1) -> Tensor:
-    """Pictures that an attacker would hold before the camera, (count, rows, columns).
+def estimates(decoding: SceneDecoding, weights: Tensor, measurements: Tensor) -> Tensor:
+    """Return linear minimum-mean-square-error estimates of scenes behind a mask that was found.
 
     Args:
-        choice: all white; one bright pixel each, spread evenly over the scene; or stripes, along
-            rows and columns in turn, each pair twice as fine as the one before.
-        scene: shape of the scene.
-        count: number of points or stripes; there is one white picture.
+        decoding: operator, statistics and noise, all public.
+        weights: ``camera.mask_shape``.
+        measurements: (count, E).
+
+    Returns:
+        (count, rows, columns).
     """
-    rows, columns = scene.shape
-    if choice == "white":
-        return torch.ones(1, rows, columns)
-    pictures = torch.zeros(count, rows, columns)
-    if choice == "points":
-        places = ((torch.arange(count) + 0.5) * rows * columns / count).long()
-        pictures.flatten(1).scatter_(1, places[:, None], 1.0)
-        return pictures
-    for number, picture in enumerate(pictures):
-        along = torch.arange(rows)[:, None] if number % 2 == 0 else torch.arange(columns)[None]
-        length = rows if number % 2 == 0 else columns
-        period = max(2, round(length / 2 ** (number // 2)))
-        picture[:] = (along % period < period / 2).float()
-    return pictures
+    with torch.no_grad():
+        return decoding.prepare(weights)(measurements)

@@ -74,18 +74,6 @@ def auc(scores: Tensor, positive: Tensor) -> float:
     return area(scores.double().cpu().numpy(), positive.bool().cpu().numpy())[0]
 
 
-def rank_one(distances: Tensor, identity: Tensor) -> float:
-    """Share of probes whose nearest of the gallery is of their own identity.
-
-    Args:
-        distances: (probes, gallery), smaller for more alike; ties count by their share.
-        identity: int64 (probes,), the place in the gallery of each probe's own.
-    """
-    nearest = distances == distances.amin(1, keepdim=True)
-    own = nearest.gather(1, identity[:, None])[:, 0]
-    return float((own.double() / nearest.sum(1)).mean())
-
-
 def true_accept_rate(scores: Tensor, same: Tensor, far: float = 1e-2) -> float:
     """Share of same pairs that are accepted where a share ``far`` of others is.
 

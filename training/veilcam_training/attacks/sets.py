@@ -223,18 +223,6 @@ def by_sets(
     return lambda sets: network(view(sets))
 
 
-def of_whole(scores: Tensor) -> Tensor:
-    """Return the votes of the captures of a set that has one answer, in logarithms.
-
-    Args:
-        scores: logits (sets, captures, classes).
-
-    Returns:
-        (sets, classes).
-    """
-    return scores.log_softmax(2).sum(1)
-
-
 def by_average(learned: SeenSets, check: SeenSets, classes: int, *, attacker: Attacker) -> Scores:
     """Average captures of a still scene, then attack the average.
 

@@ -166,13 +166,13 @@ def test_numpy_and_torch_release_the_same(seed: int) -> None:
     assert np.abs(found - white.numpy()).max() <= 2 * allowed
 
 
-def test_a_rotation_is_the_same_bit_by_bit() -> None:
+def test_rotation_is_the_same_bit_by_bit() -> None:
     torch_s, numpy_s = draw(1).prepared()
     found, wanted = Whitening(numpy_s, KEY)._rotation, Whitening(torch_s, KEY)._rotation
     assert np.array_equal(found, wanted.numpy())
 
 
-def test_what_has_no_direction_gets_one_in_numpy() -> None:
+def test_measurement_without_a_direction_gets_one_in_numpy() -> None:
     _, decoder = draw(2).prepared()
     size = decoder.embedding.size
     assert size > 3
@@ -276,7 +276,7 @@ np.savez(
 '''
 
 
-def test_a_device_without_torch_does_what_training_does(tmp_path: Path) -> None:
+def test_device_without_torch_does_what_training_does(tmp_path: Path) -> None:
     """In a process that cannot import torch or SciPy, from a file of plain arrays."""
     camera = Camera(window=Window(9, 5), sensor=Sensor(rows=480, columns=640))
     scene, embedding = Scene(5, 4, height=0.03), Embedding(3, 5)

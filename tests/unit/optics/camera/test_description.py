@@ -52,7 +52,7 @@ MEASURED = ((0.9, 0.1, 0.0), (0.1, 0.8, 0.1), (0.0, 0.2, 0.7))
         Camera(panel=Panel(filter_amplitudes=MEASURED), distance=1 / 300),
     ],
 )
-def test_a_camera_is_read_as_it_was_written(camera: Camera, tmp_path: Path) -> None:
+def test_camera_is_read_as_it_was_written(camera: Camera, tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(describe_camera(camera))
     assert read_camera(path) == camera
@@ -104,13 +104,13 @@ def test_one_wavelength_fill_factor_and_a_centred_window() -> None:
         ("pixel = 2e-6", "pixel = 2e-6\nchannel_weights = [0.5, 0.5]", "channel_weights"),
     ],
 )
-def test_what_no_camera_can_have_is_refused_by_name(line: str, instead: str, message: str) -> None:
+def test_impossible_cameras_are_refused_by_name(line: str, instead: str, message: str) -> None:
     assert line in LEAST
     with pytest.raises(OpticsError, match=message):
         parse_camera(LEAST.replace(line, instead, 1))
 
 
-def test_what_is_no_file_of_a_camera_is_named(tmp_path: Path) -> None:
+def test_file_that_is_no_camera_is_named(tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     with pytest.raises(OpticsError, match=r"camera\.toml cannot be read"):
         read_camera(path)
@@ -144,7 +144,7 @@ def test_fill_factors_are_shares(share: float) -> None:
         Panel().with_fill_factor(share)
 
 
-def test_a_size_that_cannot_fit_is_refused_before_it_is_asked_for() -> None:
+def test_size_that_cannot_fit_is_refused_before_it_is_asked_for() -> None:
     for made in (
         lambda: Window(10**7, 10**7),
         lambda: Scene(10**7, 10**7),
@@ -163,7 +163,7 @@ def test_monochrome_takes_colours_from_panel_and_sensor() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_prints_a_camera_that_it_plans_for(tmp_path: Path) -> None:
+def test_command_prints_a_camera_that_it_plans_for(tmp_path: Path) -> None:
     runner, path = CliRunner(), tmp_path / "camera.toml"
     printed = runner.invoke(app, ["camera", "slm"])
     assert printed.exit_code == 0, printed.output
@@ -179,7 +179,7 @@ def test_the_command_prints_a_camera_that_it_plans_for(tmp_path: Path) -> None:
     assert farther.output != by_name.output
 
 
-def test_the_command_refuses_a_file_with_the_key(tmp_path: Path) -> None:
+def test_command_refuses_a_file_with_the_key(tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(LEAST.replace("pitch_x = 18e-6", "pitch_x = 18"))
     refused = CliRunner().invoke(app, ["plan", "--camera", str(path)])

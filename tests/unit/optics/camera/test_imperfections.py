@@ -29,7 +29,7 @@ def draws(spreads: Spreads) -> list[Imperfections]:
         (Spreads(), set()),
     ],
 )
-def test_what_has_no_spread_stays_nominal(spreads: Spreads, names: set[str]) -> None:
+def test_imperfections_without_spread_stay_nominal(spreads: Spreads, names: set[str]) -> None:
     one = Imperfections.sample(spreads)
     changed = {name for name, value in asdict(one).items() if value}
     assert changed - {"gamma"} == names - {"gamma"}
@@ -62,7 +62,7 @@ def test_normal_spreads_are_standard_deviations() -> None:
         assert float(values.abs().max()) > 2.5 * deviation
 
 
-def test_a_seed_gives_the_same_camera_again() -> None:
+def test_seed_gives_the_same_camera_again() -> None:
     spreads = Spreads(shift=1e-5, gamma=0.1)
     assert draws(spreads)[:3] == draws(spreads)[:3]
 
@@ -88,7 +88,7 @@ def test_dead_lines_of_several_masks() -> None:
         (Imperfections(dead_columns=(-1,)), "dead_columns = -1 is not valid: use 0 to 4"),
     ],
 )
-def test_what_a_camera_cannot_have_is_named(imperfections: Imperfections, message: str) -> None:
+def test_impossible_spreads_are_named(imperfections: Imperfections, message: str) -> None:
     camera = Camera(window=Window(rows=9, columns=5), distance=4e-3)
     NOMINAL.check(camera)
     with pytest.raises(OpticsError, match=message):

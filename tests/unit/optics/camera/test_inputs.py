@@ -166,7 +166,7 @@ def test_lengths_in_another_unit_are_named(made: Callable[[], object], message: 
         ),
     ],
 )
-def test_what_cannot_fit_is_refused_before_it_is_asked_for(
+def test_sizes_beyond_memory_are_refused_beforehand(
     door: Callable[[Camera], object],
 ) -> None:
     """The picture of a scene of 2 cm is 50 m wide, a kilometre behind the mask."""

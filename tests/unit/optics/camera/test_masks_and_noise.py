@@ -68,7 +68,7 @@ def test_no_light_no_batch_no_noise() -> None:
         shot_noise(values, math.nan)
 
 
-def test_the_gradient_knows_of_the_noises_amplitude() -> None:
+def test_gradient_knows_of_the_noises_amplitude() -> None:
     values = torch.rand(3, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(4)) + 0.1
 
     def noisy(lit: torch.Tensor) -> torch.Tensor:

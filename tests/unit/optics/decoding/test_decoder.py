@@ -121,7 +121,7 @@ def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
 
 
 @pytest.mark.parametrize("rank", [8, PIXELS])
-def test_the_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: int) -> None:
+def test_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: int) -> None:
     decoding = make(Embedding(6, 8), statistics=STATISTICS.truncate(rank))
     statistics, weights = decoding.statistics, mask().double()
     decoder, A = decoding.prepare(weights), decoding.operator(weights).T
@@ -140,7 +140,7 @@ def test_the_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: i
 
 
 @pytest.mark.parametrize("rank", [8, 12, 30])
-def test_a_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) -> None:
+def test_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) -> None:
     """Fewer, as many and more components than the 12 numbers of a measurement."""
     noise = MeasurementNoise(30.0, model_error=0.02)
     decoding = make(Embedding(3, 4), statistics=STATISTICS.truncate(rank), noise=noise)
@@ -168,9 +168,7 @@ def test_a_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) ->
 
 
 @pytest.mark.parametrize(("rank", "size"), [(8, 8), (30, 12)])
-def test_the_smaller_matrix_is_factored(
-    monkeypatch: pytest.MonkeyPatch, rank: int, size: int
-) -> None:
+def test_smaller_matrix_is_factored(monkeypatch: pytest.MonkeyPatch, rank: int, size: int) -> None:
     factored: list[torch.Size] = []
 
     def noted(matrix: Tensor) -> Tensor | None:
@@ -200,7 +198,7 @@ def test_scenes_in_another_unit_are_decoded_in_that_unit(scale: float) -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (6, 8)])
-def test_a_scene_that_never_changes_is_known(shape: tuple[int, int]) -> None:
+def test_scene_that_never_changes_is_known(shape: tuple[int, int]) -> None:
     still = SceneStatistics(STATISTICS.mean, torch.zeros(PIXELS, 2), torch.zeros(PIXELS))
     decoder = make(Embedding(*shape), statistics=still).prepare(mask().double())
     estimate = decoder(torch.rand(2, *shape))
@@ -208,7 +206,7 @@ def test_a_scene_that_never_changes_is_known(shape: tuple[int, int]) -> None:
     assert decoder.remaining == 0
 
 
-def test_the_jitter_grows_tenfold_until_the_matrix_can_be_factored(
+def test_jitter_grows_tenfold_until_the_matrix_can_be_factored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     added: list[float] = []
@@ -225,7 +223,7 @@ def test_the_jitter_grows_tenfold_until_the_matrix_can_be_factored(
     assert torch.allclose(found @ found.T, 4 * torch.eye(2, dtype=DOUBLE), rtol=1e-11)
 
 
-def test_a_response_that_is_not_finite_is_refused() -> None:
+def test_response_that_is_not_finite_is_refused() -> None:
     decoding = make(Embedding(3, 4))
     transfer = decoding.operator(mask().double())
     transfer[5, 2] = math.nan
@@ -334,7 +332,7 @@ def test_expected_noise_is_the_noise_that_is_made() -> None:
     assert float((decoding.prepare(weights).noise / seen).log().abs().max()) < 0.25
 
 
-def test_a_closed_mask_gives_the_mean_scene() -> None:
+def test_closed_mask_gives_the_mean_scene() -> None:
     decoding = make(Embedding(6, 8))
     decoder = decoding.prepare(torch.zeros(CAMERA.mask_shape, dtype=DOUBLE))
     estimate = decoder(torch.zeros(2, 6, 8))
@@ -542,14 +540,14 @@ def test_dead_lines_show_what_they_are_stuck_at() -> None:
         Imperfections(dead_columns=(3,)).shown(weights)
 
 
-def test_a_frame_file_holds_the_imperfections(tmp_path: Path) -> None:
+def test_frame_file_holds_the_imperfections(tmp_path: Path) -> None:
     path = tmp_path / "scene.safetensors"
     imperfections = Imperfections(shift_y=1e-6, gamma=1.2, dead_rows=(0, 3), stray_light=0.1)
     write_frame(path, replace(make_frame(), imperfections=imperfections))
     assert read_frame(path).imperfections == imperfections
 
 
-def test_the_rotation_has_a_gradient_also_at_zero() -> None:
+def test_rotation_has_a_gradient_also_at_zero() -> None:
     camera = Camera(window=Window(rows=5, columns=3))
     scene, embedding = Scene(rows=3, columns=3), Embedding(2, 3)
     weights = random_mask(camera, torch.Generator().manual_seed(4)).double()
@@ -573,7 +571,7 @@ def test_the_rotation_has_a_gradient_also_at_zero() -> None:
 
 
 @pytest.mark.parametrize("precision", list(Precision))
-def test_what_a_decoder_was_made_of_is_overwritten_unless_a_gradient_needs_it(
+def test_parts_of_a_decoder_are_overwritten_unless_a_gradient_needs_them(
     precision: Precision,
 ) -> None:
     decoding = make(Embedding(4, 5), precision=precision)

@@ -43,7 +43,7 @@ def test_any_shape(shape: tuple[int, ...]) -> None:
     assert inverse_normal(np.full(shape, 0.9)).shape == shape
 
 
-def test_the_first_and_the_last_word_are_finite() -> None:
+def test_first_and_the_last_word_are_finite() -> None:
     """Half a step from 1, the last of them would be rounded to it."""
     ends = normal(np.array([0] * 8 + [255] * 8, np.uint8))
     assert np.isfinite(ends).all()

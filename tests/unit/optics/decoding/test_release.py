@@ -67,7 +67,7 @@ def require_length_one(white: Tensor) -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, 1e-20, 1e20])
-def test_a_white_embedding_has_length_one_whatever_was_measured(
+def test_white_embedding_has_length_one_whatever_was_measured(
     decoding: SceneDecoding, times: float
 ) -> None:
     decoder, measurements = make(decoding, "a")
@@ -76,7 +76,7 @@ def test_a_white_embedding_has_length_one_whatever_was_measured(
     require_length_one(white)
 
 
-def test_it_is_the_whitened_measurement_turned_and_without_its_length(
+def test_white_embedding_is_the_whitened_measurement_turned_and_without_its_length(
     decoding: SceneDecoding,
 ) -> None:
     """By the formula, without a factor: angles are those that C^-1 gives."""
@@ -90,7 +90,7 @@ def test_it_is_the_whitened_measurement_turned_and_without_its_length(
     assert torch.allclose(white @ white.T, products / torch.outer(lengths, lengths), atol=1e-6)
 
 
-def test_the_rotation_is_the_key_s_alone(decoding: SceneDecoding) -> None:
+def test_rotation_is_the_key_s_alone(decoding: SceneDecoding) -> None:
     decoder, measurements = make(decoding, "a", count=3)
     first = Whitening(decoder, key_of("turn")).whiten(measurements)
     assert torch.equal(Whitening(decoder, bytearray(key_of("turn"))).whiten(measurements), first)
@@ -127,27 +127,25 @@ def require_uniform(directions: Tensor) -> None:
     assert abs(float(u.pow(4).sum(1).mean()) - expected) < bound
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("what", ["scene", "brighter", "dark", "mean", "nan"])
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["scene", "dark", "nan"])
 def test_over_fresh_rotations_a_direction_is_uniform_whatever_was_seen(
     decoding: SceneDecoding, what: str
 ) -> None:
     decoder, measurements = make(decoding, "a", count=1)
     seen = {
         "scene": measurements,
-        "brighter": 3 * measurements,
         "dark": torch.zeros_like(measurements),
-        "mean": decoder.mean_measurement.reshape(1, *EMBEDDING.shape),
         "nan": torch.full_like(measurements, torch.nan),
     }[what]
     directions = torch.cat(
-        [Whitening(decoder, key_of(f"{what} {i}")).whiten(seen) for i in range(3000)]
+        [Whitening(decoder, key_of(f"{what} {i}")).whiten(seen) for i in range(1000)]
     )
     require_length_one(directions)
     require_uniform(directions)
 
 
-def test_the_bounds_of_uniformity_would_tell(decoding: SceneDecoding) -> None:
+def test_bounds_of_uniformity_would_tell(decoding: SceneDecoding) -> None:
     """Without a rotation of its own, a measurement's directions are anything but uniform."""
     decoder, measurements = make(decoding, "a", count=3000)
     white = Whitening(decoder, key_of("turn")).whiten(measurements)
@@ -161,7 +159,7 @@ def test_the_bounds_of_uniformity_would_tell(decoding: SceneDecoding) -> None:
 
 
 @pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
-def test_what_has_no_direction_gets_one_from_the_kernel_and_others_keep_theirs(
+def test_measurement_without_a_direction_gets_one_and_others_keep_theirs(
     decoding: SceneDecoding, value: float
 ) -> None:
     decoder, measurements = make(decoding, "a", count=4)
@@ -197,9 +195,7 @@ def test_whitening_shows_nothing_of_the_mask(decoding: SceneDecoding) -> None:
 
 @pytest.mark.parametrize("precision", list(Precision))
 @pytest.mark.parametrize("inference", [True, False])
-def test_what_is_erased_is_zeros_and_what_is_another_s_stays(
-    precision: Precision, inference: bool
-) -> None:
+def test_erased_whitening_is_zeros_and_others_stay(precision: Precision, inference: bool) -> None:
     decoding = make_decoding(precision)
     with torch.inference_mode(inference):
         decoder, measurements = make(decoding, "a", count=2)

@@ -146,7 +146,7 @@ def test_every_effect_has_a_job_that_calls_for_it() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
+def test_effect_changes_the_output_where_it_matters(effect: Effect) -> None:
     """By hand: with it and without it. The plan's estimate is about what is found."""
     called = CALLED[effect.name]
     model = model_of(called, zones=2)
@@ -166,7 +166,7 @@ def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_a_plan_switches_it_on_where_it_matters(effect: Effect) -> None:
+def test_effect_is_on_in_a_plan_where_it_matters(effect: Effect) -> None:
     called = CALLED[effect.name]
     camera = replace(called.camera, panel=called.panel)
     chosen = plan(
@@ -210,7 +210,9 @@ def ordinary() -> dict[str, Assessment]:
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_it_is_off_in_an_ordinary_scene(ordinary: dict[str, Assessment], effect: Effect) -> None:
+def test_effect_is_off_in_an_ordinary_scene(
+    ordinary: dict[str, Assessment], effect: Effect
+) -> None:
     """What conditions would have to call for is off; what is always there has tests of its own."""
     found = ordinary[effect.name]
     if effect.name in ALWAYS:
@@ -239,7 +241,7 @@ def test_it_is_off_in_an_ordinary_scene(ordinary: dict[str, Assessment], effect:
         ),
     ],
 )
-def test_what_is_always_there_is_off_where_it_hardly_shows(
+def test_effect_that_is_always_there_is_off_where_it_hardly_shows(
     name: str, camera: Camera, scene: Scene, embedding: Embedding, tolerance: float
 ) -> None:
     chosen = plan(camera, scene, embedding, tolerance)
@@ -250,7 +252,7 @@ def test_what_is_always_there_is_off_where_it_hardly_shows(
 
 
 @pytest.mark.slow
-def test_what_is_off_is_not_computed() -> None:
+def test_effects_that_are_off_are_not_computed() -> None:
     """The plan of an ordinary scene holds what the plain operator holds, and not a number more."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
     plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=chosen.model.sampling.reach)

@@ -55,7 +55,7 @@ def test_measurement_passes_gradients_straight_through() -> None:
     assert torch.allclose(gradient, torch.ones_like(gradient))
 
 
-def test_a_part_of_the_light_is_that_of_each_mask() -> None:
+def test_part_of_the_light_is_that_of_each_mask() -> None:
     """One mask in two leaves hardly any light: what is added is a thousand times as much there."""
     values = torch.stack([torch.ones(2, 3), torch.full((2, 3), 1e-3), torch.zeros(2, 3)]).double()
     added = torch.tensor(0.01, dtype=torch.float64)
@@ -63,7 +63,7 @@ def test_a_part_of_the_light_is_that_of_each_mask() -> None:
     assert over_light(added, values[2:]) == 1.0
 
 
-def test_what_is_below_half_a_step_is_not_made_much_of() -> None:
+def test_errors_below_half_a_step_are_not_made_much_of() -> None:
     """Far below it reads nothing whatever its error is; a little below, an error may lift it."""
     conditions = Conditions(adc_bits=4, adc_range=15.0)
     bright = torch.linspace(1, 9, 12, dtype=torch.float64).reshape(1, 3, 4)

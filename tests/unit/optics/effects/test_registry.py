@@ -90,7 +90,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize("method", ["transfer", "factors", "grid"])
-def test_it_is_computed_at_every_stage(method: str) -> None:
+def test_new_effect_is_computed_at_every_stage(method: str) -> None:
     """Powers of 0.9: the mask's counts twice, light's once each."""
     powers = 2 + 2 + 3 + 4 + 5 + 6
     ratio = embed(Aged(electrons=1e3, yellowing=0.1), method) / embed(Aged(electrons=1e3), method)
@@ -98,7 +98,7 @@ def test_it_is_computed_at_every_stage(method: str) -> None:
 
 
 @pytest.mark.usefixtures("registered")
-def test_a_plan_weighs_it() -> None:
+def test_plan_weighs_it() -> None:
     found = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Aged(yellowing=0.1))
     own = found.assessments[-1]
     assert (own.name, own.matters, own.reason) == ("yellowing", True, "yellow by 0.1")

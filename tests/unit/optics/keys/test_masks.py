@@ -67,7 +67,7 @@ def test_masks_of_other_keys_have_nothing_in_common() -> None:
             assert (one == other).mean() < 0.06  # 1/64 by chance
 
 
-def test_the_key_is_left_as_it_was_and_belongs_to_its_owner() -> None:
+def test_key_is_left_as_it_was_and_belongs_to_its_owner() -> None:
     key = bytearray(KEY)
     levels = draw_levels(key, camera=SMALL)
     assert key == KEY

@@ -53,7 +53,7 @@ def probes_used(tolerance: float, monkeypatch: pytest.MonkeyPatch) -> tuple[floa
     return DeadSpace().error(errors), used
 
 
-def test_what_is_far_over_the_tolerance_is_looked_at_in_few_places(
+def test_errors_far_over_the_tolerance_are_looked_at_in_few_places(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Some 0.4 of the light comes through space that is dead."""
@@ -152,7 +152,7 @@ def test_shadows_beside_the_sensor_are_no_plan_that_reaches() -> None:
         assert chosen.reached == reached
 
 
-def test_the_middle_of_a_scene_pixel_is_brighter_than_its_corners() -> None:
+def test_middle_of_a_scene_pixel_is_brighter_than_its_corners() -> None:
     """One scene pixel about the axis, of whose image the sensor sees the inner third.
 
     Over all of it light fades by 4/3 of the square of half its side's tangent on average, over that

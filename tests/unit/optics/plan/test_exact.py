@@ -37,9 +37,9 @@ def error(value: Tensor, reference: Tensor) -> float:
 
 @pytest.mark.thorough
 def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
-    """Fringes of 64 x 64 sub-pixels of 3 um, 2 mm away, are wider than a pixel."""
+    """Fringes of 40 x 40 sub-pixels of 3 um, 2 mm away, are wider than a pixel."""
     camera = Camera(
-        panel=square(3e-6), window=Window(64, 64), sensor=Sensor(16, 16, 8e-6), distance=2e-3
+        panel=square(3e-6), window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3
     )
     scene, embedding = Scene(2, 2, height=0.005), Embedding(16, 16)
     chosen = plan(camera, scene, embedding, 1e-2)
@@ -152,7 +152,7 @@ def small(**changes: object) -> Camera:
     ],
     ids=["shares", "scattered", "shares, scattered, fading"],
 )
-def test_a_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
+def test_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
     """Its entries are those of the transfer matrix, whatever weighs them after the optics."""
     scene, embedding = Scene(2, 3, height=0.02), Embedding(3, 4)
     model = Model(small(), scene, embedding, conditions)
@@ -167,7 +167,7 @@ def test_a_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
 
 
 @pytest.mark.parametrize("embedding", [Embedding(3, 4), Embedding(3, 7), Embedding(3, 20)])
-def test_a_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -> None:
+def test_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -> None:
     """Its offsets are among the others', and their light is the same."""
     model = Model(small(), Scene(6, 5, height=0.02), embedding, PARAXIAL)
     model = model.with_sampling(reach=Reach(2, 1), step=1e-6)
@@ -245,7 +245,7 @@ def turned(rotation: float) -> Model:
 
 
 @pytest.mark.parametrize("rotation", [0.0, 0.15])
-def test_a_grid_is_judged_by_finer_ones(rotation: float) -> None:
+def test_grid_is_judged_by_finer_ones(rotation: float) -> None:
     model, weights = turned(rotation), torch.ones(1, 1, 2, dtype=torch.float64)
     errors = GridErrors(model, 1.0, weights)
     scenes = torch.eye(2, dtype=torch.float64).reshape(2, 2, 1)

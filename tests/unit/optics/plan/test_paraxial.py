@@ -57,7 +57,7 @@ def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
     """Predicted and true error of a job's plan."""
     chosen = chosen_by(job, method)
     weights = masks(job)
-    exact, unsure = truth(job, weights, lambda _: chosen.error / 10)
+    exact, unsure = truth(job, weights, lambda _: chosen.error / 4)
     true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
     assert unsure < true / 3
     return chosen.error, true
@@ -99,10 +99,15 @@ CASES = {
 }
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("job", CASES.values(), ids=CASES)
-def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> None:
-    predicted, true = judged(job, "transfer")
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("name", CASES)
+def test_factored_field_is_as_far_from_exact_light_as_predicted(
+    name: str, *, long_form: bool
+) -> None:
+    if name == "in oblique light" and not long_form:
+        pytest.skip("exact light at large angles takes 8 s: in the long form")
+    predicted, true = judged(CASES[name], "transfer")
     assert true > 1.5e-3
     assert true / 1.5 < predicted < 3 * true
 
@@ -117,7 +122,7 @@ def test_shadows_miss_what_edges_lose() -> None:
     assert result.true / 2 < result.predicted < 3 * result.true
 
 
-def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
+def test_grid_takes_oblique_flux_for_all_of_it() -> None:
     """Sub-pixels of a wavelength spread light by 45 degrees, where the flux is 0.7 of it."""
     fine = camera(6e-6, (2, 2), 60e-6, 20e-6, 5e-6)
     job = Job(fine, narrow(20e-6), Embedding(2, 2), Conditions(), 1e-3, HALF_OPEN)
@@ -126,8 +131,8 @@ def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
     assert true / 2 < predicted < 4 * true
 
 
-@pytest.mark.thorough
-def test_a_wide_scene_pixel_is_seen_unevenly() -> None:
+@pytest.mark.slow
+def test_wide_scene_pixel_is_seen_unevenly() -> None:
     """The sensor sees half the image of a pixel of 45 degrees: that near the axis is brighter."""
     near = camera(20e-6, (1, 1), 30e-6, 30e-6, 3e-6)
     scene = Scene(1, 2, height=1.0, distance=1.0)
@@ -144,14 +149,14 @@ def test_apertures_turn_with_their_mask() -> None:
     far = replace(camera(30e-6, (1, 1), 4e-3, 40e-3, 3e-6), panel=panel)
     turned = Conditions(imperfections=Imperfections(rotation=0.08))
     job = Job(
-        far, Scene(1, 1, height=0.8, distance=40.0), Embedding(2, 2), turned, 1e-3, ((1, 1), (3, 2))
+        far, Scene(1, 1, height=0.2, distance=40.0), Embedding(2, 2), turned, 1e-3, ((1, 1), (3, 2))
     )
     predicted, true = judged(job, "transfer")
     assert true > 5e-3
     assert true / 2 < predicted < 3 * true
 
 
-def test_what_turns_comes_nearer_to_the_axis() -> None:
+def test_turned_apertures_come_nearer_to_the_axis() -> None:
     """Two apertures, halves of which the sensor sees: by symmetry nothing else shows."""
     panel = Panel(
         pitch_y=200e-6, pitch_x=200e-6, aperture_y=100e-6, aperture_x=100e-6, filter_cycle=()
@@ -205,7 +210,7 @@ def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
 FAINT = camera(30e-6, (2, 2), 200e-6, 2e-3, 3e-6)
 
 
-def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
+def test_converter_makes_much_of_a_small_error_of_faint_light() -> None:
     """Of light of two steps, an error of a percent turns one value in fifty by half of it."""
     conditions = Conditions(adc_bits=8, adc_range=1.0)
     job = Job(FAINT, narrow(2e-3), Embedding(6, 6), conditions, 1e-1, HALF_OPEN)
@@ -220,7 +225,7 @@ def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
     ("bits", "light", "error"),
     [(4, 1.0, 3e-4), (4, 1.0, 1e-3), (4, 0.1, 1e-2), (12, 0.1, 3e-5), (12, 0.1, 3e-4)],
 )
-def test_a_code_that_seldom_changes_is_held_where_it_does(
+def test_code_that_seldom_changes_is_held_where_it_does(
     bits: int, light: float, error: float
 ) -> None:
     """Readings of nine values behind three masks each, with and without a normal error: counted.
@@ -246,8 +251,9 @@ def test_a_code_that_seldom_changes_is_held_where_it_does(
     assert (true <= 2 * predicted).mean() > 0.985
 
 
-@pytest.mark.thorough
-def test_a_large_offset_calls_for_double_precision() -> None:
+@pytest.mark.slow
+@pytest.mark.long
+def test_large_offset_calls_for_double_precision(*, long_form: bool) -> None:
     """Light of 1e-8 on a black level of 0.01 is rounded by a seventh of itself in float32."""
     dark = camera(0.5e-6, (2, 2), 3e-6, 1e-3, 5e-6)
     conditions = Conditions(black_level=0.01)
@@ -255,5 +261,6 @@ def test_a_large_offset_calls_for_double_precision() -> None:
         chosen = plan(dark, narrow(2e-3), Embedding(2, 2), 1e-2, asked)
         assert chosen.reached
         assert chosen.model.sampling.dtype == dtype
-    job = Job(dark, narrow(2e-3), Embedding(2, 2), conditions, 1e-2, HALF_OPEN)
-    assert judge_job(job, limit=UNHURRIED).honest
+    if long_form:  # exact light to a millionth takes 5 s
+        job = Job(dark, narrow(2e-3), Embedding(2, 2), conditions, 1e-2, HALF_OPEN)
+        assert judge_job(job, limit=UNHURRIED).honest

@@ -88,7 +88,7 @@ def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
     assert on[0] < on[-1]
 
 
-def test_no_cheaper_dial_would_have_done() -> None:
+def test_dials_that_are_cheaper_would_not_have_done() -> None:
     """By hand: every smaller reach is outside the tolerance."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
     finest = LightOperator(
@@ -252,7 +252,7 @@ def test_total_over_conditions(
     conditions: Conditions,
     long_form: bool,
 ) -> None:
-    """The short form embeds what a plan says takes less than two seconds; the long one all."""
+    """The short form embeds what a plan says takes less than 0.3 s; the long one all."""
     camera = Camera(
         window=Window(rows, columns),
         sensor=Sensor(rows=80, columns=100),
@@ -261,12 +261,12 @@ def test_total_over_conditions(
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf
     assert len(chosen.assessments) == len(EFFECTS)
-    if long_form or chosen.cost.step_ms < 2000:
+    if long_form or chosen.cost.step_ms < 300:
         values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
         assert bool(torch.isfinite(values).all())
 
 
-def test_what_cannot_be_reached_is_said() -> None:
+def test_tolerance_that_cannot_be_reached_is_said() -> None:
     """A mask turned by 3 degrees needs the grid, and that is no better than a few per cent."""
     chosen = plan(
         CAMERA, SCENE, EMBEDDING, 1e-4, Conditions(imperfections=Imperfections(rotation=0.05))
@@ -306,7 +306,7 @@ def test_impossible_tolerances_are_named(tolerance: float) -> None:
         plan(CAMERA, SCENE, EMBEDDING, tolerance)
 
 
-def test_no_batch_is_named() -> None:
+def test_batch_of_none_is_named() -> None:
     with pytest.raises(OpticsError, match="batch = 0"):
         plan(CAMERA, SCENE, EMBEDDING, 1e-2, batch=0)
 
@@ -376,7 +376,7 @@ def test_plan_holds_no_mask() -> None:
 
 
 @pytest.mark.parametrize("method", ["transfer", "factors", "grid"])
-def test_a_method_that_is_asked_for_is_the_one_that_is_chosen(method: Method) -> None:
+def test_method_that_is_asked_for_is_the_one_that_is_chosen(method: Method) -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 0.05, method=method)
     assert chosen.model.sampling.method == method
     assert chosen.reached
@@ -394,7 +394,7 @@ def test_where_shadows_do_every_other_effect_is_still_judged() -> None:
     assert relative(chosen.transfer(weights).double(), exact) < 0.1
 
 
-def test_a_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
+def test_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
     """Each pixel's light is that of the part of the mask in front of it, in closed form."""
     near = replace(CAMERA, distance=1e-6, sensor=Sensor(24, 24, pixel=73e-6 / 8))
     chosen = plan(near, Scene(1, 1, height=1e-3), Embedding(1, 1), 1e-2, PARAXIAL)
@@ -414,7 +414,7 @@ def _open(centres: tuple[float, ...], width: float, side: float) -> float:
     return sum(max(0.0, high - low) for low, high in ends) / side
 
 
-def test_the_field_angle_of_the_scene_is_in_the_plan() -> None:
+def test_field_angle_of_the_scene_is_in_the_plan() -> None:
     """At the upper edge of the default scene light is 4 % fainter than on the axis."""
     chosen = plan(Camera(), Scene(), Embedding(3, 4), 1e-2)
     found = {each.name: each for each in chosen.assessments}

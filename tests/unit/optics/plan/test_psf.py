@@ -29,7 +29,7 @@ FULL = Model(
 MASK = torch.rand(6, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
 
-def test_it_is_that_of_the_reference() -> None:
+def test_psf_is_that_of_the_reference() -> None:
     found = psf(FULL, MASK, 15)
     side = CAMERA.sensor.height / 15
     truth = reference_psf(CAMERA, SCENE, MASK, Grid.square(15, 20, side), oversampling=64)
@@ -37,7 +37,7 @@ def test_it_is_that_of_the_reference() -> None:
     assert float((found - truth).norm() / truth.norm()) < 2e-3
 
 
-def test_it_counts_what_the_panel_shows_and_what_the_camera_is() -> None:
+def test_psf_counts_the_panel_and_the_camera() -> None:
     gamma = replace(FULL, conditions=Conditions(imperfections=Imperfections(gamma=2.0)))
     assert torch.allclose(psf(gamma, MASK, 5), psf(FULL, MASK.square(), 5))
     shift = 3 * CAMERA.sensor.height / 15
@@ -53,7 +53,7 @@ def test_it_counts_what_the_panel_shows_and_what_the_camera_is() -> None:
         psf(turned, MASK, 5)
 
 
-def test_a_plan_has_one_and_its_gradient() -> None:
+def test_plan_has_one_and_its_gradient() -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 5e-2)
     weights = MASK.float().requires_grad_()
     found = chosen.psf(weights, 12)
@@ -68,7 +68,7 @@ def test_a_plan_has_one_and_its_gradient() -> None:
         chosen.psf(weights[1:])
 
 
-def test_a_notebook_shows_the_same_as_the_explanation() -> None:
+def test_notebook_shows_the_same_as_the_explanation() -> None:
     bare = replace(CAMERA, panel=Panel(filter_cycle=()))
     chosen = plan(bare, SCENE, EMBEDDING, 5e-2)
     shown = chosen._repr_html_()

@@ -37,7 +37,7 @@ def test_masks_drawn_at_random_are_what_others_are_compared_with(meter: Conditio
         assert sum(shares) / len(shares) == pytest.approx(1, abs=1e-9)
 
 
-def test_an_open_window_has_nothing_of_its_own_however_dark(meter: ConditioningMeter) -> None:
+def test_open_window_has_nothing_of_its_own_however_dark(meter: ConditioningMeter) -> None:
     for transmittance in (1.0, 0.5, 0.1):
         found = meter(np.full(CAMERA.mask_shape, transmittance, np.float32))
         assert found.own < 1e-9
@@ -45,7 +45,7 @@ def test_an_open_window_has_nothing_of_its_own_however_dark(meter: ConditioningM
     assert meter(np.zeros(CAMERA.mask_shape, np.float32)) == Conditioning(0, 0, 0)
 
 
-def test_a_hole_sees_one_place_from_each_pixel(meter: ConditioningMeter) -> None:
+def test_hole_sees_one_place_from_each_pixel(meter: ConditioningMeter) -> None:
     found = meter(pinhole())
     # Its own is nearly all there is, and random masks have 7 % of their own.
     assert found.own > 10
@@ -66,7 +66,7 @@ def test_directions_are_singular_values(meter: ConditioningMeter) -> None:
     assert ratio == pytest.approx(count(pinhole()) / count(other), rel=1e-9)
 
 
-def test_a_finer_embedding_is_measured_as_the_finest() -> None:
+def test_finer_embedding_is_measured_as_the_finest() -> None:
     one, other = (
         ConditioningMeter(CAMERA, Scene(), embedding)(pinhole())
         for embedding in (Embedding(12, 16), Embedding(24, 32))
@@ -75,6 +75,6 @@ def test_a_finer_embedding_is_measured_as_the_finest() -> None:
     assert ConditioningMeter(CAMERA, Scene(), Embedding(6, 8))(pinhole()) != one
 
 
-def test_a_mask_of_another_window_is_refused(meter: ConditioningMeter) -> None:
+def test_mask_of_another_window_is_refused(meter: ConditioningMeter) -> None:
     with pytest.raises(OpticsError, match=r"weights\.shape"):
         meter(np.ones(Camera(window=Window(9, 5)).mask_shape, np.float32))

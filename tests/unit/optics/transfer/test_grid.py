@@ -110,7 +110,7 @@ def test_converges_to_brute_force(reference: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("filters", [(), (0, 1, 2)])
-def test_a_filter_keeps_only_its_rows(filters: tuple[int, ...]) -> None:
+def test_filter_keeps_only_its_rows(filters: tuple[int, ...]) -> None:
     panel = dataclasses.replace(CAMERA.panel, filter_cycle=filters)
     light = GridLight(dataclasses.replace(CAMERA, panel=panel), SCENE, 2)
     weights = torch.zeros(CAMERA.mask_shape, dtype=torch.float64)

@@ -45,7 +45,7 @@ def test_rows_of_any_width_are_moved_as_they_are(library: Any, kind: str, column
         assert np.asarray(found).flags.c_contiguous
 
 
-def test_a_gradient_finds_its_way_to_every_part() -> None:
+def test_gradient_finds_its_way_to_every_part() -> None:
     parts = [torch.full((2, 3), float(k), requires_grad=True) for k in range(3)]
     found = Joined.apply(6, *parts)  # type: ignore[no-untyped-call]
     found.backward(torch.arange(18.0).reshape(6, 3))

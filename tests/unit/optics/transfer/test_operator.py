@@ -224,7 +224,7 @@ def test_colours_sum_to_gray_and_filters_part_them() -> None:
 
 
 @pytest.mark.parametrize("colour", [False, True])
-def test_a_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
+def test_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     camera, scene = Camera(), Scene(7, 9)
     operator = TransferOperator(
         camera, scene, Embedding(4, 5), reach=Reach(3, 1), step=6e-6, colour=colour
@@ -248,7 +248,7 @@ def test_leakage_brings_light_through_foreign_rows() -> None:
 
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_an_embedding_is_a_scene_times_the_transfer(colour: bool, count: int) -> None:
+def test_embedding_is_a_scene_times_the_transfer(colour: bool, count: int) -> None:
     operator = TransferOperator(
         SMALL, SCENE, EMBEDDING, reach=Reach(3, 1), colour=colour, dtype=torch.float64
     )
@@ -275,7 +275,7 @@ def test_scenes_of_another_shape_are_refused(colour: bool) -> None:
         operator.embed_by_factors(torch.zeros(2, *((3,) if colour else ()), 4, 3), torch.ones(2, 2))
 
 
-def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
+def test_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
     large, weights = Scene(rows=9, columns=8, height=9 * SCENE.pixel), mask(SMALL)
 
     def make(scene: Scene, centre: tuple[float, float]) -> TransferOperator:
@@ -307,7 +307,7 @@ def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
         (LEAKY, Reach(0, 0)),
     ],
 )
-def test_a_small_rotation_moves_every_sub_pixel_by_itself(camera: Camera, pairs: Reach) -> None:
+def test_small_rotation_moves_every_sub_pixel_by_itself(camera: Camera, pairs: Reach) -> None:
     """Row r moves along x by -angle y_r, and column c along y by angle x_c."""
     angle, weights = 1e-5, mask(camera)
     straight, turned = (
@@ -366,7 +366,7 @@ def sum_of_slopes(camera: Camera, weights: Tensor, pairs: Reach, move: float) ->
     return total
 
 
-def test_a_rotation_and_its_mirror_image() -> None:
+def test_rotation_and_its_mirror_image() -> None:
     """A mask and camera flipped left to right, and turned the other way, flip the embedding."""
     weights, angle = mask(SMALL), 3e-2
     one, other = (
@@ -418,7 +418,7 @@ def test_beams_are_added_up_by_their_shares() -> None:
         transfer(one, *rest, Beam(3, green))
 
 
-def test_a_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> None:
+def test_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> None:
     weights = mask(SMALL)
 
     def transfer(wavelength: float, stretch: tuple[float, float]) -> Tensor:
@@ -447,7 +447,7 @@ def profiles(transfer: Tensor) -> list[Tensor]:
     return [shared.sum((1, 3)), shared.sum((0, 2))]
 
 
-def test_a_beam_comes_from_its_own_distance() -> None:
+def test_beam_comes_from_its_own_distance() -> None:
     weights = mask(SMALL)
     near = replace(SCENE, distance=0.1)
     beams = [
@@ -460,7 +460,7 @@ def test_a_beam_comes_from_its_own_distance() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 2])
-def test_a_colour_that_no_row_passes_is_dark(rows: int) -> None:
+def test_colour_that_no_row_passes_is_dark(rows: int) -> None:
     camera = Camera(window=Window(rows, 3, 0, 5), sensor=SMALL.sensor)
     weights = torch.ones(camera.mask_shape, dtype=torch.float64)
     operator = TransferOperator(
@@ -471,7 +471,7 @@ def test_a_colour_that_no_row_passes_is_dark(rows: int) -> None:
     assert not operator.embed_by_factors(torch.ones(2, 3, 4, 3).double(), weights)[:, 2].any()
 
 
-def test_a_colour_that_the_sensor_does_not_see_costs_nothing() -> None:
+def test_colour_that_the_sensor_does_not_see_costs_nothing() -> None:
     blind = replace(SMALL, sensor=replace(SMALL.sensor, channel_weights=(0.0, 1.0, 0.0)))
     gray, seen = (
         TransferOperator(blind, SCENE, EMBEDDING, dtype=torch.float64, colour=colour)
@@ -482,7 +482,7 @@ def test_a_colour_that_the_sensor_does_not_see_costs_nothing() -> None:
     assert 2 * sizes[0] < sizes[1]
 
 
-def test_what_is_counted_unless_it_is_said_otherwise() -> None:
+def test_operator_counts_pairs_by_default() -> None:
     assert (Reach().rows, Reach().columns) == (1, 0)
     beam = Beam(0, 500e-9)
     assert (beam.share, beam.scene_distance, beam.stretch) == (1.0, None, (1.0, 1.0))

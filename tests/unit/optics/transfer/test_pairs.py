@@ -108,7 +108,7 @@ def test_more_masks_than_one_product_takes(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("colour", [False, True])
-def test_the_gradient_of_masks_together(colour: bool) -> None:
+def test_gradient_of_masks_together(colour: bool) -> None:
     operator, masks = make(colour=colour), masks_of(CAMERA, 3).requires_grad_()
     probe = torch.rand(
         operator(masks).shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1)

@@ -129,7 +129,7 @@ def test_numpy_and_torch_give_the_same_embeddings(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(JOBS))
-def test_the_gradient_of_torch_is_the_slope_of_numpy(seed: int) -> None:
+def test_gradient_of_torch_is_the_slope_of_numpy(seed: int) -> None:
     """A transfer is quadratic in the mask: a central difference is exact, however long its step."""
     job = draw(seed, torch.float64)
     mask = (0.25 + job.masks[2] / 2).requires_grad_()
@@ -175,7 +175,7 @@ def test_tables_are_put_together_again(rows: int, colour: bool) -> None:
     assert dict(operator.named_buffers()) == transfer.arrays()
 
 
-def test_a_module_that_is_moved_computes_on_what_it_holds_then() -> None:
+def test_module_that_is_moved_computes_on_what_it_holds_then() -> None:
     job = draw(3, torch.float64)
     job.operator.float()
     buffers = dict(job.operator.named_buffers())

@@ -8,7 +8,12 @@ import pytest
 import torch
 from scipy.stats import chi2
 
-from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
+from veilcam_training.attacks.clustering import (
+    adjusted_rand_index,
+    by_directions,
+    k_means,
+    subspace_clusters,
+)
 from veilcam_training.errors import TrainingError
 
 
@@ -26,6 +31,13 @@ def test_k_means_finds_blobs() -> None:
     assert len(k_means(same, 2, generator)) == 5
     with pytest.raises(TrainingError, match="clusters = 6"):
         k_means(same, 6, generator)
+
+
+def test_directions_group_points_whatever_their_length() -> None:
+    generator = torch.Generator().manual_seed(0)
+    points, labels = blobs(50, generator)
+    points = points * torch.logspace(-2, 2, len(points))[torch.randperm(len(points)), None]
+    assert adjusted_rand_index(labels, by_directions(points, 4, generator)) == 1
 
 
 def test_subspaces_are_found_where_k_means_finds_none() -> None:

@@ -65,7 +65,7 @@ def test_noise_matches_nobody(match: FaceMatch) -> None:
     assert abs(auc(scores, torch.arange(200) < 100) - 0.5) < 4 * 0.041
 
 
-def test_what_tells_nobody_apart_is_refused() -> None:
+def test_faces_without_differences_are_refused() -> None:
     pictures, names = persons(2, 2, 1)
     with pytest.raises(TrainingError, match="one person alone"):
         fit_face_match(pictures, torch.zeros_like(names), epochs=1, seed=1)

@@ -16,7 +16,7 @@ from veilcam_training.attacks.intervals import (
 )
 
 
-def test_the_area_is_mann_whitneys_and_its_error_delongs() -> None:
+def test_area_is_mann_whitneys_and_its_error_delongs() -> None:
     random = np.random.default_rng(1)
     scores = random.integers(6, size=80).astype(float)
     positive = random.random(80) < 0.4
@@ -34,12 +34,12 @@ def test_errors_are_those_of_repeated_experiments() -> None:
     random = np.random.default_rng(2)
     gains = []
     for _ in range(300):
-        scores, positive = random.standard_normal(200), random.random(200) < 0.5
-        gains.append(area_gain(scores, positive, np.arange(200) % 2))
+        scores, positive = random.standard_normal(60), random.random(60) < 0.5
+        gains.append(area_gain(scores, positive, np.arange(60) % 2))
     spread = np.std([gain.shown for gain in gains])
     # The spread of 300 has a standard error of 4 %.
     assert np.mean([gain.error for gain in gains]) == pytest.approx(spread, rel=0.15)
-    blocks = [linkage_gain(random.standard_normal((40, 5, 5))) for _ in range(300)]
+    blocks = [linkage_gain(random.standard_normal((20, 4, 4))) for _ in range(300)]
     spread = np.std([gain.shown for gain in blocks])
     assert np.mean([gain.error for gain in blocks]) == pytest.approx(spread, rel=0.15)
 
@@ -55,14 +55,14 @@ def test_captures_of_one_mask_count_as_what_they_are() -> None:
     assert gain.error == pytest.approx(100 * (0.21 / 4000) ** 0.5, rel=0.05)
 
 
-def test_an_area_below_one_half_is_turned_round() -> None:
+def test_area_below_one_half_is_turned_round() -> None:
     positive = np.arange(100) < 50
     gain = area_gain(-positive.astype(float), positive, np.zeros(100, np.int64))
     assert gain.shown == 0
     assert gain.value == 0.5
 
 
-def test_the_upper_end_is_at_the_bar_where_the_doubt_is_its_level() -> None:
+def test_upper_end_is_at_the_bar_where_the_doubt_is_its_level() -> None:
     gain = Gain(0.4, 0.25, 1.0, 100, 10.4)
     assert gain.upper(gain.doubt) == pytest.approx(gain.bar)
     assert gain.upper(0.01) == pytest.approx(0.4 + 2.326348 * 0.25)

@@ -75,7 +75,7 @@ def judge(reader: Reader, *, anew: bool, known: int = KNOWN) -> None:
     "reader",
     [pytest.param(each, marks=pytest.mark.slow) if each == "network" else each for each in READERS],
 )
-def test_a_reader_reads_behind_a_mask_of_which_it_knows_captures(reader: str) -> None:
+def test_reader_reads_behind_a_mask_of_which_it_knows_captures(reader: str) -> None:
     judge(READERS[reader], anew=False)
     judge(READERS[reader], anew=True)
 

@@ -51,7 +51,7 @@ def captures(seed: int, *, leaking: bool, pairs: int = 10) -> tuple[Tensor, Tens
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fit", FITS)
-def test_a_network_links_what_is_alike_and_nothing_else(fit: str) -> None:
+def test_network_links_what_is_alike_and_nothing_else(fit: str) -> None:
     told: list[tuple[int, int]] = []
     learned, check = captures(1, leaking=True), captures(2, leaking=True)
     link = FITS[fit](learned, check, epochs=12, progress=lambda *each: told.append(each))
@@ -117,7 +117,7 @@ def luck(first: Tensor) -> float:
     return 1.1 * float(norm.isf(5e-5)) / math.sqrt(12 * pairs)
 
 
-def test_what_masks_change_is_divided_out_of_cosines() -> None:
+def test_changes_by_masks_are_divided_out_of_cosines() -> None:
     learned, asked = captures(1, leaking=True), captures(2, leaking=True)
     plain = partial(by_cosines, mean=torch.zeros(PIXELS))
     link = by_known_spread(learned, ridge=1e-3)

@@ -10,7 +10,6 @@ from veilcam_training.attacks.metrics import (
     auc,
     mean_picture_advantage,
     psnr,
-    rank_one,
     ssim,
     true_accept_rate,
 )
@@ -24,7 +23,7 @@ def test_psnr_is_ten_times_the_logarithm_of_peak_over_error_of_each_picture() ->
     assert psnr(estimate[:1], truth[:1], 2.0).item() == pytest.approx(20 + 20 * math.log10(2))
 
 
-def test_what_lies_outside_the_data_range_is_shown_at_its_ends() -> None:
+def test_pixels_outside_the_data_range_are_shown_at_its_ends() -> None:
     truth = torch.ones(1, 12, 12)
     assert psnr(truth + 7, truth).item() == math.inf
 
@@ -37,7 +36,7 @@ def test_ssim_is_that_of_flat_pictures_in_closed_form() -> None:
     assert ssim(one[:1], one[:1]).tolist() == pytest.approx([1.0])
 
 
-def test_the_mean_picture_itself_has_no_advantage_and_the_truth_all_of_it() -> None:
+def test_mean_picture_itself_has_no_advantage_and_the_truth_all_of_it() -> None:
     generator = torch.Generator().manual_seed(1)
     truth = torch.rand(4, 12, 12, generator=generator)
     mean = truth.mean(0)
@@ -51,21 +50,16 @@ def test_pictures_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
         psnr(torch.zeros(shape), torch.zeros(2, 12, 12) if len(shape) > 1 else torch.zeros(shape))
 
 
-def test_a_range_of_nothing_is_refused() -> None:
+def test_range_of_nothing_is_refused() -> None:
     with pytest.raises(TrainingError, match="data_range"):
         ssim(torch.zeros(1, 12, 12), torch.zeros(1, 12, 12), 0)
 
 
-def test_the_area_counts_ties_by_half() -> None:
+def test_area_counts_ties_by_half() -> None:
     assert auc(torch.tensor([1.0, 1.0, 0.0, 2.0]), torch.tensor([0, 1, 0, 1])) == 0.875
 
 
-def test_rank_one_counts_ties_by_their_share() -> None:
-    distances = torch.tensor([[0.0, 1.0, 2.0], [1.0, 1.0, 5.0], [0.0, 3.0, 4.0]])
-    assert rank_one(distances, torch.tensor([0, 1, 2])) == pytest.approx((1 + 0.5 + 0) / 3)
-
-
-def test_the_accept_rate_of_two_normals_is_that_of_their_distributions() -> None:
+def test_accept_rate_of_two_normals_is_that_of_their_distributions() -> None:
     random = np.random.default_rng(1)
     scores = torch.from_numpy(
         np.concatenate([random.normal(2, 1, 40_000), random.normal(0, 1, 40_000)])
@@ -77,7 +71,7 @@ def test_the_accept_rate_of_two_normals_is_that_of_their_distributions() -> None
 
 
 @pytest.mark.parametrize("far", [0.0, 1.0])
-def test_a_rate_outside_its_range_is_refused(far: float) -> None:
+def test_rate_outside_its_range_is_refused(far: float) -> None:
     with pytest.raises(TrainingError, match="far"):
         true_accept_rate(torch.arange(4.0), torch.arange(4) < 2, far)
     with pytest.raises(TrainingError, match="either kind"):

@@ -81,7 +81,7 @@ def planted(kind: Kind, family: Family, seed: int) -> Asked:
     # A network and ten classes: below, and in less time.
     [(k, f) for k in CLASSES for f in FAMILIES if (k, f) != ("class", "networks")],
 )
-def test_an_attacker_wins_on_a_leak_and_not_on_noise(kind: Kind, family: Family) -> None:
+def test_attacker_wins_on_a_leak_and_not_on_noise(kind: Kind, family: Family) -> None:
     leaking = gain(planted(kind, family, 1), family, epochs=5, seed=1)
     # Six standard errors: noise gives as much with a chance of 1e-9.
     assert leaking.value > max(leaking.bar, 6 * leaking.error)
@@ -91,7 +91,7 @@ def test_an_attacker_wins_on_a_leak_and_not_on_noise(kind: Kind, family: Family)
 
 
 @pytest.mark.parametrize("build", BUILDS)
-def test_a_network_wins_on_a_leak_and_not_on_noise(build: str) -> None:
+def test_network_wins_on_a_leak_and_not_on_noise(build: str) -> None:
     told: list[tuple[int, int]] = []
 
     def right(asked: Asked) -> int:
@@ -108,7 +108,7 @@ def test_a_network_wins_on_a_leak_and_not_on_noise(build: str) -> None:
     assert told[:12] == [(epoch, 12) for epoch in range(1, 13)]
 
 
-def test_a_picture_has_as_many_pixels_as_its_shape_and_may_be_small() -> None:
+def test_picture_has_as_many_pixels_as_its_shape_and_may_be_small() -> None:
     assert convolutions((3, 4), 12, 5)(torch.zeros(2, 2, 12)).shape == (2, 5)
     wide, narrow = (
         sum(p.numel() for p in convolutions((8, 8), 64, 5, width=width).parameters())
@@ -121,7 +121,7 @@ def test_a_picture_has_as_many_pixels_as_its_shape_and_may_be_small() -> None:
     assert len(attackers("networks", None, 1)) < len(attackers("networks", SHAPE, 1))
 
 
-def test_an_attacker_learns_from_one_capture_of_a_mask() -> None:
+def test_attacker_learns_from_one_capture_of_a_mask() -> None:
     asked = noise("class", 3, captures=2)
     asked.vectors[:, 1] *= 1 + asked.labels[:, 1, None]
     # The leak is in the second capture of each mask: nobody learns of it.
@@ -138,7 +138,7 @@ def test_every_mask_is_judged_once_by_whoever_never_learned_from_it() -> None:
     assert not torch.equal(parts[0][0], next(dealt(50, 4))[0])
 
 
-def test_the_worst_upper_end_is_that_of_the_row_nearest_to_its_bar() -> None:
+def test_worst_upper_end_is_that_of_the_row_nearest_to_its_bar() -> None:
     verdicts = holm(
         {"a": Gain(0.4, 0.01, 1.0, 100, 10.4), "b": Gain(0.015, 0.0001, 0.02, 100, 0.515)}
     )
@@ -146,7 +146,7 @@ def test_the_worst_upper_end_is_that_of_the_row_nearest_to_its_bar() -> None:
     assert 0.75 < worst_upper(verdicts) < 1
 
 
-def test_whoever_waits_is_told_of_every_fold() -> None:
+def test_progress_is_told_of_every_fold() -> None:
     told: list[tuple[int, int]] = []
     kinds: tuple[Kind, ...] = ("class", "linkage")
     for kind in kinds:
@@ -161,7 +161,7 @@ def test_whoever_waits_is_told_of_every_fold() -> None:
     assert told == 2 * [(fold, FOLDS) for fold in range(1, FOLDS + 1)]
 
 
-def test_a_density_of_lengths_reads_and_unit_lengths_say_nothing() -> None:
+def test_density_of_lengths_reads_and_unit_lengths_say_nothing() -> None:
     random = torch.Generator().manual_seed(0)
     labels = torch.randint(2, (2000,), generator=random)
     logs = labels + 0.5 * torch.randn(2000, generator=random)

@@ -22,7 +22,6 @@ from veilcam_training.attacks.sets import (
     gram,
     independent,
     moments,
-    of_whole,
 )
 
 PIXELS, CAPTURES, SETS = 12, 30, 160
@@ -65,7 +64,7 @@ def judge(attacker: object, seen: SeenSets, *, leaks: bool, whole: bool = False)
         found = scores(parts[2].captures)
     answers = parts[2].labels
     if whole:
-        found = found if found.ndim == 2 else of_whole(found)
+        found = found if found.ndim == 2 else found.log_softmax(2).sum(1)
         answers = answers[:, 0]
     right = int((found.argmax(-1) == answers).sum())
     chance = binom(answers.numel(), 1 / CLASSES)
@@ -82,7 +81,7 @@ def judge(attacker: object, seen: SeenSets, *, leaks: bool, whole: bool = False)
     # Thirty captures unmix few components.
     [partial(view, components=3) if view is independent else view for view in VIEWS],
 )
-def test_a_network_reads_sets_in_the_view_that_shows_it(view: View) -> None:
+def test_network_reads_sets_in_the_view_that_shows_it(view: View) -> None:
     told: list[tuple[int, int]] = []
     attacker = partial(by_sets, view=view, trial=TRIALS[1], epochs=12)
     judge(
@@ -96,7 +95,7 @@ def test_a_network_reads_sets_in_the_view_that_shows_it(view: View) -> None:
     judge(partial(by_sets, view=view, trial=TRIALS[1], epochs=2), nothing, leaks=False)
 
 
-def test_an_average_of_a_still_scene_tells_what_one_capture_hides() -> None:
+def test_average_of_a_still_scene_tells_what_one_capture_hides() -> None:
     answers = labels(1)[:, :1].expand(-1, CAPTURES)
     faint = 0.5 * random(CLASSES, PIXELS, seed=2)[answers]
     still = SeenSets(faint + random(SETS, CAPTURES, PIXELS, seed=3), answers)
@@ -106,7 +105,7 @@ def test_an_average_of_a_still_scene_tells_what_one_capture_hides() -> None:
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_a_view_follows_its_captures_in_whatever_order(view: View) -> None:
+def test_view_follows_its_captures_in_whatever_order(view: View) -> None:
     sets = random(2, CAPTURES, PIXELS, seed=1).pow(3)
     order = torch.randperm(CAPTURES, generator=torch.Generator().manual_seed(2))
     # Sums in another order: some hundred roundings; an iteration of 50 steps adds them up.

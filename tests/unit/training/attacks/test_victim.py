@@ -58,7 +58,7 @@ def _victim(
     return Victim(light, source, release, decoding=decoding, snr_db=snr_db, generator=generator)
 
 
-def test_a_capture_is_the_light_of_its_mask_at_the_ratio_that_was_asked_for(
+def test_capture_is_the_light_of_its_mask_at_the_ratio_that_was_asked_for(
     light: TransferOperator,
 ) -> None:
     victim = _victim(light, _fresh(), snr_db=math.inf)
@@ -112,7 +112,7 @@ def test_stored_masks_are_prepared_once_for_all_cameras_that_share_them(
     assert len(shared) == 2
 
 
-def test_a_release_of_ones_own_is_taken(light: TransferOperator) -> None:
+def test_release_of_ones_own_is_taken(light: TransferOperator) -> None:
     def doubled(mask: VictimMask, measurements: Tensor) -> Tensor:
         return 2 * measurements + mask.epoch
 

@@ -85,7 +85,7 @@ def path(tmp_path: Path) -> Path:
     return result
 
 
-def test_it_comes_back_as_it_was_written(path: Path) -> None:
+def test_bundle_comes_back_as_it_was_written(path: Path) -> None:
     written, read = make_bundle(), read_bundle(path)
     assert read.digest == hashlib.sha256(path.read_bytes()).hexdigest()
     assert dataclasses.replace(read, pairs=(), digest="", subject="") == dataclasses.replace(
@@ -100,7 +100,7 @@ def test_it_comes_back_as_it_was_written(path: Path) -> None:
             np.testing.assert_array_equal(array, after.weights[name], strict=True)
 
 
-def test_the_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: Path) -> None:
+def test_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: Path) -> None:
     first = path.read_bytes()
     write_bundle(path, make_bundle())
     assert path.read_bytes() == first
@@ -108,7 +108,7 @@ def test_the_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: 
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-def test_the_error_of_a_bundle_is_its_worst_pair_s() -> None:
+def test_error_of_a_bundle_is_its_worst_pair_s() -> None:
     bundle = make_bundle()
     assert bundle.transfer_error == bundle.pairs[1].transfer_error
     assert str(bundle.transfer_error) == "0.002 (0.001 to 0.004 with a confidence of 90 %)"
@@ -117,7 +117,7 @@ def test_the_error_of_a_bundle_is_its_worst_pair_s() -> None:
     assert mixed.transfer_error is None
 
 
-def test_a_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measured(
+def test_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measured(
     path: Path,
 ) -> None:
     bundle = make_bundle()
@@ -130,7 +130,7 @@ def test_a_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measure
     assert [pair.transfer_error for pair in read_bundle(path).pairs] == [None, None]
 
 
-def test_an_endless_error_is_none() -> None:
+def test_endless_error_is_none() -> None:
     with pytest.raises(BundleError, match="transfer_error"):
         TransferError(0.1, 0.05, math.inf, 0.9)
 
@@ -237,14 +237,14 @@ def test_masks_that_do_not_fit(path: Path, mask: Any, reason: str) -> None:
     refuse(path, f"pair 1: mask.*{reason}")
 
 
-def test_a_mask_too_few(path: Path) -> None:
+def test_mask_too_few(path: Path) -> None:
     masks = safetensors.numpy.load(unpack(path)["masks.safetensors"])
     del masks["pair.1.levels"]
     replace_part(path, "masks.safetensors", safetensors.numpy.save(masks))
     refuse(path, "one mask for each of 2 pairs")
 
 
-def test_a_part_that_is_no_safetensors(path: Path) -> None:
+def test_part_that_is_no_safetensors(path: Path) -> None:
     replace_part(path, "weights.safetensors", b"pickle")
     refuse(path, "not a safetensors file")
 
@@ -299,7 +299,7 @@ def test_parts_that_a_bundle_does_not_have(path: Path, name: str) -> None:
     refuse(path, "unknown part")
 
 
-def test_a_part_twice_and_a_part_too_few(path: Path) -> None:
+def test_part_twice_and_a_part_too_few(path: Path) -> None:
     parts = unpack(path)
     with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "a") as file:
         file.writestr("bundle.json", parts["bundle.json"])
@@ -319,7 +319,7 @@ def test_oversized_parts_and_files(path: Path, monkeypatch: pytest.MonkeyPatch) 
     refuse(path, "at most 1000")
 
 
-def test_a_bad_bundle_is_not_written_and_the_old_one_stays(path: Path) -> None:
+def test_bad_bundle_is_not_written_and_the_old_one_stays(path: Path) -> None:
     before = path.read_bytes()
     bad = dataclasses.replace(make_bundle(), labels=("a", "b"))
     with pytest.raises(BundleError, match="for 2 labels"):
@@ -358,7 +358,7 @@ def test_classifiers_that_take_too_much_work(tmp_path: Path) -> None:
         write_bundle(tmp_path / "b.veilcam", more)
 
 
-def test_a_convolution_that_takes_too_much_memory(tmp_path: Path) -> None:
+def test_convolution_that_takes_too_much_memory(tmp_path: Path) -> None:
     large = Resize(rows=256, columns=256)
     kernel = Conv2d(inputs=1, outputs=1, kernel=17, padding=8)
     with pytest.raises(BundleError, match="numbers under its kernels"):
@@ -383,12 +383,12 @@ def test_products_are_counted() -> None:
     assert count_operations(layers, 12) == 16 * values + 12 * 9 + 12 * 10
 
 
-def test_a_small_file_that_unpacks_to_much(path: Path) -> None:
+def test_small_file_that_unpacks_to_much(path: Path) -> None:
     replace_part(path, "weights.safetensors", bytes(17 * 2**20))
     refuse(path, "weights.safetensors has .* bytes: use at most")
 
 
-def test_a_reason_is_one_short_line(path: Path) -> None:
+def test_reason_is_one_short_line(path: Path) -> None:
     pack(path, {**unpack(path), "x\n" * 9000: b""})
     with pytest.raises(BundleError, match="unknown part") as caught:
         read_bundle(path)
@@ -413,7 +413,7 @@ def test_limits_are_those_of_the_format() -> None:
     assert (archive.FREE, archive.RATIO) == (16 * MEBIBYTE, 4)
 
 
-def test_a_file_may_be_as_long_as_the_limit(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_may_be_as_long_as_the_limit(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     size = path.stat().st_size
     monkeypatch.setattr(archive, "MAX_FILE", size)
     read_bundle(path)
@@ -422,7 +422,7 @@ def test_a_file_may_be_as_long_as_the_limit(path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("name", ["bundle.json", "masks.safetensors", "weights.safetensors"])
-def test_a_part_may_be_as_long_as_its_limit(
+def test_part_may_be_as_long_as_its_limit(
     path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     size = len(unpack(path)[name])
@@ -447,7 +447,7 @@ def test_all_parts_together_may_unpack_to_so_much(
     refuse(path, "use at most")
 
 
-def test_a_part_that_is_longer_than_it_says_is_refused(path: Path) -> None:
+def test_part_that_is_longer_than_it_says_is_refused(path: Path) -> None:
     """Its size in the archive's directory is what somebody wrote there."""
     parts = unpack(path)
     parts["bundle.json"] += bytes(archive.MAX_PART["bundle.json"])
@@ -478,7 +478,7 @@ def test_another_compression_is_refused(path: Path, method: int) -> None:
     refuse(path, "bundle.json is encrypted or oddly compressed")
 
 
-def test_an_encrypted_part_is_refused(path: Path) -> None:
+def test_encrypted_part_is_refused(path: Path) -> None:
     data = bytearray(path.read_bytes())
     # The flags of the first entry, in its own header and in the archive's directory.
     data[6] |= 1
@@ -535,18 +535,18 @@ def test_parts_are_deflated(path: Path) -> None:
         assert {entry.compress_type for entry in file.infolist()} == {zipfile.ZIP_DEFLATED}
 
 
-def test_a_digest_of_a_part_that_is_not_there_is_refused(path: Path) -> None:
+def test_digest_of_a_part_that_is_not_there_is_refused(path: Path) -> None:
     edit_manifest(path, lambda m: m["parts"].update({"scene_stats.safetensors": 64 * "0"}))
     refuse(path, "lacks the digest of a part")
 
 
-def test_a_part_of_the_other_mode_is_refused(path: Path) -> None:
+def test_part_of_the_other_mode_is_refused(path: Path) -> None:
     pack(path, {**unpack(path), "scene_stats.safetensors": b"x"})
     refuse(path, "mode 'pairs' has the parts masks.safetensors, weights.safetensors only")
 
 
 @pytest.mark.parametrize("length", [300, 301])
-def test_a_reason_is_cut_after_300_letters(
+def test_reason_is_cut_after_300_letters(
     path: Path, monkeypatch: pytest.MonkeyPatch, length: int
 ) -> None:
     def fail(_: Path) -> Bundle:
@@ -558,7 +558,7 @@ def test_a_reason_is_cut_after_300_letters(
     assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
 
 
-def test_a_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
+def test_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, done = path.read_bytes(), []
@@ -586,7 +586,7 @@ def test_a_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
 
 
 @pytest.mark.parametrize("broken", ["fsync", "replace"])
-def test_a_disk_that_fails_leaves_the_old_bundle_and_nothing_else(
+def test_disk_that_fails_leaves_the_old_bundle_and_nothing_else(
     path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     before = path.read_bytes()

@@ -68,7 +68,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_card_travels_with_its_bundle_and_changes_nothing_else(tmp_path: Path) -> None:
+def test_card_travels_with_its_bundle_and_changes_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "shipped.veilcam"
     path.write_bytes(FRESH.read_bytes())
     before = read_bundle(path)
@@ -88,7 +88,7 @@ def test_a_card_travels_with_its_bundle_and_changes_nothing_else(tmp_path: Path)
     assert manifest == json.loads(unpack(FRESH)["bundle.json"])
 
 
-def test_a_bundle_is_written_with_its_card(path: Path) -> None:
+def test_bundle_is_written_with_its_card(path: Path) -> None:
     card = card_of(read_bundle(path))
     add_card(path, card)
     content = path.read_bytes()
@@ -97,7 +97,7 @@ def test_a_bundle_is_written_with_its_card(path: Path) -> None:
     assert read_bundle(path).card == card
 
 
-def test_a_card_is_covered_by_digest_and_signature(path: Path) -> None:
+def test_card_is_covered_by_digest_and_signature(path: Path) -> None:
     add_card(path, card_of(read_bundle(path)))
     sign_bundle(path, 3, KEY)
     assert read_bundle(path).card is not None
@@ -108,13 +108,13 @@ def test_a_card_is_covered_by_digest_and_signature(path: Path) -> None:
     refuse(path, "changed after its owner signed")
 
 
-def test_a_version_without_a_signature_stays(path: Path) -> None:
+def test_version_without_a_signature_stays(path: Path) -> None:
     sign_bundle(path, 3, None)
     add_card(path, card_of(read_bundle(path)))
     assert read_bundle(path).version == 3
 
 
-def test_a_damaged_card_is_a_damaged_bundle(path: Path) -> None:
+def test_damaged_card_is_a_damaged_bundle(path: Path) -> None:
     add_card(path, card_of(read_bundle(path)))
     edit_manifest(path, lambda manifest: manifest["parts"].update({"card.json": "0" * 64}))
     refuse(path, "card.json is not what bundle.json says")
@@ -125,13 +125,13 @@ def test_a_damaged_card_is_a_damaged_bundle(path: Path) -> None:
 @pytest.mark.parametrize(
     "content", [b"", b"no json", b"{}", b'{"format": "veilcam-card", "version": 2}', b"\xff"]
 )
-def test_what_is_no_card_is_not_shown_and_refuses_nothing(path: Path, content: bytes) -> None:
+def test_file_that_is_no_card_is_not_shown_and_refuses_nothing(path: Path, content: bytes) -> None:
     add_card(path, card_of(read_bundle(path)))
     replace_part(path, "card.json", content)
     assert read_bundle(path).card is None
 
 
-def test_a_card_of_other_masks_is_neither_taken_nor_shown(path: Path) -> None:
+def test_card_of_other_masks_is_neither_taken_nor_shown(path: Path) -> None:
     bundle = read_bundle(path)
     other = card_of(bundle).model_copy(update={"subject": "ab" * 32})
     with pytest.raises(BundleError, match="is not what this card is of"):
@@ -153,6 +153,6 @@ def test_a_card_of_other_masks_is_neither_taken_nor_shown(path: Path) -> None:
         ({"T0": "PASS", "T1": "NOT CLAIMED"}, "NOT CLAIMED"),
     ],
 )
-def test_a_card_without_a_key_that_opens_is_void(outcomes: dict[str, Outcome], wanted: str) -> None:
+def test_card_without_a_key_that_opens_is_void(outcomes: dict[str, Outcome], wanted: str) -> None:
     card = card_of(read_bundle(FRESH), *(row(*each) for each in outcomes.items()))
     assert card.outcome == wanted

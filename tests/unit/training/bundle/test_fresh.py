@@ -96,7 +96,7 @@ def path(tmp_path: Path) -> Path:
     return result
 
 
-def test_it_comes_back_as_it_was_written(path: Path) -> None:
+def test_fresh_bundle_comes_back_as_it_was_written(path: Path) -> None:
     written, read = make_fresh(), read_bundle(path)
     assert (read.mode, read.pairs, read.inputs) == ("fresh", (), 2 * PIXELS)
     fresh = read.fresh
@@ -113,7 +113,7 @@ def test_it_comes_back_as_it_was_written(path: Path) -> None:
     assert all(np.array_equal(fresh.weights[n], written.weights[n]) for n in written.weights)
 
 
-def test_the_same_bundle_gives_the_same_bytes(path: Path) -> None:
+def test_same_bundle_gives_the_same_bytes(path: Path) -> None:
     first = path.read_bytes()
     write_bundle(path, make_bundle())
     assert path.read_bytes() == first
@@ -160,13 +160,13 @@ def test_features_choose_what_the_classifier_is_given() -> None:
     assert estimate.inputs == PIXELS
 
 
-def test_the_scheme_is_the_one_of_the_keys(path: Path) -> None:
+def test_scheme_is_the_one_of_the_keys(path: Path) -> None:
     manifest = json.loads(unpack(path)["bundle.json"])
     assert manifest["fresh"]["scheme"] == "veilcam mask levels, version 1"
     assert "pairs" not in manifest
 
 
-def test_the_bundle_that_comes_with_the_package_is_read_as_it_is() -> None:
+def test_bundle_that_comes_with_the_package_is_read_as_it_is() -> None:
     bundle = read_bundle(FRESH)
     assert bundle.digest == "45f7cde5530a1a53cbeb8091177ee3611a15eb0aa527ecd807c54b953628a737"
     assert bundle.fresh is not None
@@ -279,7 +279,7 @@ def test_manifests_that_are_refused(
     refuse(path, reason)
 
 
-def test_a_part_of_the_other_mode(path: Path) -> None:
+def test_part_of_the_other_mode(path: Path) -> None:
     parts = unpack(path)
     statistics = parts.pop("scene_stats.safetensors")
     pack(path, parts)
@@ -295,7 +295,7 @@ def test_a_part_of_the_other_mode(path: Path) -> None:
     refuse(path, "mode 'pairs' has the parts")
 
 
-def test_a_response_too_large_is_refused_before_it_is_made(
+def test_response_too_large_is_refused_before_it_is_made(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fresh_module, "MAX_RESPONSE", PIXELS * EMBEDDING.size - 1)
@@ -310,7 +310,7 @@ def test_a_response_too_large_is_refused_before_it_is_made(
         ({"mode": "other"}, "use 'pairs' or 'fresh'"),
     ],
 )
-def test_a_bad_bundle_is_not_written(path: Path, change: dict[str, Any], reason: str) -> None:
+def test_bad_bundle_is_not_written(path: Path, change: dict[str, Any], reason: str) -> None:
     before = path.read_bytes()
     with pytest.raises(BundleError, match=reason):
         write_bundle(path, dataclasses.replace(make_bundle(), **change))

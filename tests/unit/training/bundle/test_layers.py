@@ -60,7 +60,7 @@ def test_record_module_and_shape_agree(layer: LayerRecord, shape: tuple[int, ...
         (L.Residual(layers=(L.Linear(inputs=6, outputs=5),)), (6,)),
     ],
 )
-def test_what_a_layer_refuses(layer: LayerRecord, shape: tuple[int, ...]) -> None:
+def test_layer_refuses_bad_sizes(layer: LayerRecord, shape: tuple[int, ...]) -> None:
     with pytest.raises(L.LayerShapeError, match="gets shape"):
         layer.output_shape(shape)
 

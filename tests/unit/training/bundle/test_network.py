@@ -89,7 +89,7 @@ def test_every_kind_of_layer_is_tried() -> None:
 
 
 @pytest.mark.parametrize(("layer", "_"), CASES)
-def test_what_a_layer_needs_is_what_torchs_module_holds(
+def test_weights_of_a_layer_are_those_of_torchs_module(
     layer: LayerRecord, _: tuple[int, ...]
 ) -> None:
     held = build_untrained([layer]).state_dict()
@@ -112,17 +112,17 @@ def test_classifiers_of_embeddings_are_torchs(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_largest_classifier_is_torchs() -> None:
+def test_largest_classifier_is_torchs() -> None:
     found, wanted = both(make_layers("VGG11", OF_EMBEDDINGS), (OF_EMBEDDINGS.inputs,), batch=1)
     assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
-def test_a_classifier_of_scenes_is_torchs() -> None:
+def test_classifier_of_scenes_is_torchs() -> None:
     found, wanted = both(make_layers("CNN8", OF_SCENES), (2 * 28 * 28,))
     assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
-def test_the_normal_distribution_is_as_exact_as_float32() -> None:
+def test_normal_distribution_is_as_exact_as_float32() -> None:
     x = np.linspace(-12, 12, 24_001)
     found = Network.load((L.GELU(),), {})(x)
     wanted = np.array([value * math.erfc(-value * math.sqrt(0.5)) / 2 for value in x])

@@ -55,7 +55,7 @@ def pack(path: Path, parts: dict[str, bytes]) -> None:
             file.writestr(name, data)
 
 
-def test_a_signed_bundle_says_who_and_which_version_and_is_the_same_otherwise(path: Path) -> None:
+def test_signed_bundle_says_who_and_which_version_and_is_the_same_otherwise(path: Path) -> None:
     before = read_bundle(path)
     assert (before.version, before.owner) == (0, None)
     unsigned = parts_of(path)
@@ -82,7 +82,7 @@ def test_signing_gives_the_same_bytes_again_and_replaces_what_was_there(path: Pa
 
 
 @pytest.mark.slow
-def test_a_version_is_written_and_a_signature_is_not_written_again(path: Path) -> None:
+def test_version_is_written_and_a_signature_is_not_written_again(path: Path) -> None:
     sign_bundle(path, 3, None)
     first = path.read_bytes()
     write_bundle(path, read_bundle(path))
@@ -95,7 +95,7 @@ def test_a_version_is_written_and_a_signature_is_not_written_again(path: Path) -
 
 
 @pytest.mark.slow
-def test_a_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path) -> None:
+def test_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path) -> None:
     sign_bundle(path, 7, KEY)
     parts = parts_of(path)
     changed = json.loads(parts["bundle.json"])
@@ -139,14 +139,14 @@ def test_a_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Pat
         b'{"version": 1, "signature": "AA=="}',
     ],
 )
-def test_what_is_no_version_is_refused(path: Path, part: bytes) -> None:
+def test_version_that_is_none_is_refused(path: Path, part: bytes) -> None:
     pack(path, {**parts_of(path), "owner.json": part})
     with pytest.raises(BundleError, match=r"owner.json is not valid"):
         read_bundle(path)
 
 
 @pytest.mark.parametrize("text", ["", "AA==", "veilcam-owner:", "veilcam-owner:AA==", "ssh-rsa %%"])
-def test_what_is_no_key_of_an_owner_is_refused(path: Path, text: str) -> None:
+def test_owner_key_that_is_none_is_refused(path: Path, text: str) -> None:
     with pytest.raises(BundleError, match="no owner's key"):
         OwnerKey.parse(text)
     part = {"version": 1, "owner": text, "signature": "AA=="}
@@ -156,23 +156,21 @@ def test_what_is_no_key_of_an_owner_is_refused(path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("version", [0, -1, MAX_VERSION + 1])
-def test_a_version_out_of_range_is_refused_and_the_file_left_alone(
-    path: Path, version: int
-) -> None:
+def test_version_out_of_range_is_refused_and_the_file_left_alone(path: Path, version: int) -> None:
     before = path.read_bytes()
     with pytest.raises(BundleError, match=f"version = {version} is not valid"):
         sign_bundle(path, version, KEY)
     assert path.read_bytes() == before
 
 
-def test_a_key_of_an_owner_is_a_line() -> None:
+def test_key_of_an_owner_is_a_line() -> None:
     assert OwnerKey.parse(str(OWNER)) == OWNER
     assert OWNER.short == hashlib.sha256(OWNER.raw).hexdigest()[:12]
     with pytest.raises(BundleError, match="31 bytes"):
         OwnerKey(bytes(31))
 
 
-def test_a_private_key_is_its_owner_s_alone_and_never_replaced(tmp_path: Path) -> None:
+def test_private_key_is_its_owner_s_alone_and_never_replaced(tmp_path: Path) -> None:
     path = tmp_path / "owner.pem"
     owner = write_key(path)
     assert path.stat().st_mode & 0o777 == 0o600
@@ -189,7 +187,7 @@ def test_a_private_key_is_its_owner_s_alone_and_never_replaced(tmp_path: Path) -
         write_key(tmp_path / "none" / "owner.pem")
 
 
-def test_what_is_no_private_key_is_refused(tmp_path: Path) -> None:
+def test_private_key_that_is_none_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "owner.pem"
     with pytest.raises(BundleError, match="cannot be read"):
         read_key(path)

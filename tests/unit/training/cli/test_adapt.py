@@ -65,7 +65,7 @@ def measurements(bundle: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_bundle_is_adapted_and_written_under_another_name(
+def test_bundle_is_adapted_and_written_under_another_name(
     bundle: Path, measurements: Path, tmp_path: Path
 ) -> None:
     out, again = tmp_path / "adapted.veilcam", tmp_path / "again.veilcam"
@@ -87,7 +87,7 @@ def test_a_bundle_is_adapted_and_written_under_another_name(
 @pytest.mark.parametrize(
     ("out", "why"), [("sides.veilcam", "is the bundle itself"), ("a.txt", "ends in .veilcam")]
 )
-def test_the_bundle_itself_is_not_overwritten(
+def test_bundle_itself_is_not_overwritten(
     bundle: Path, measurements: Path, out: str, why: str
 ) -> None:
     before = bundle.read_bytes()
@@ -98,8 +98,7 @@ def test_the_bundle_itself_is_not_overwritten(
     assert bundle.read_bytes() == before
 
 
-@pytest.mark.thorough
-def test_a_bundle_is_exported(bundle: Path, tmp_path: Path) -> None:
+def test_bundle_is_exported(bundle: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     result = runner.invoke(app, ["export", str(bundle), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output

@@ -26,7 +26,7 @@ def run(*words: str | Path) -> str:
     return result.output
 
 
-def test_a_key_is_made_and_a_bundle_signed(tmp_path: Path) -> None:
+def test_key_is_made_and_a_bundle_signed(tmp_path: Path) -> None:
     key, file = tmp_path / "owner.pem", tmp_path / "a.veilcam"
     file.write_bytes(BUNDLE.read_bytes())
     line = run("keygen", key).splitlines()[-1]
@@ -43,7 +43,7 @@ def test_a_key_is_made_and_a_bundle_signed(tmp_path: Path) -> None:
     assert (read_bundle(file).version, read_bundle(file).owner) == (4, None)
 
 
-def test_what_cannot_be_signed_is_said(tmp_path: Path) -> None:
+def test_bundle_that_cannot_be_signed_is_named(tmp_path: Path) -> None:
     key, file = tmp_path / "owner.pem", tmp_path / "a.veilcam"
     run("keygen", key)
     with pytest.raises(BundleError, match="there is no such file"):
@@ -55,7 +55,7 @@ def test_what_cannot_be_signed_is_said(tmp_path: Path) -> None:
         run("sign", file, "--key", key, "--version", "0")
 
 
-def test_a_bundle_is_shown(tmp_path: Path) -> None:
+def test_bundle_is_shown(tmp_path: Path) -> None:
     file, key = tmp_path / "a.veilcam", tmp_path / "owner.pem"
     bundle = read_bundle(BUNDLE)
     assert bundle.accuracy is not None

@@ -35,7 +35,7 @@ from veilcam_training.experiments.model import make_model
         (Situation("cifar10", "learned", "27x36", "VGG11"), 32, "sgd", 20),
     ],
 )
-def test_the_papers_recipes(
+def test_papers_recipes(
     situation: Situation, batch: int, optimiser: str, every: int | None
 ) -> None:
     recipe = find_recipe("paper", situation)
@@ -60,7 +60,7 @@ def test_the_papers_recipes(
         ("learned", "24x32", 0),
     ],
 )
-def test_the_papers_padding_of_cifar10(encoder: str, embedding: str, share: float) -> None:
+def test_papers_padding_of_cifar10(encoder: str, embedding: str, share: float) -> None:
     recipe = find_recipe("paper", Situation("cifar10", encoder, embedding, "VGG11"))
     assert recipe.jitter.shift == pytest.approx(share)
 
@@ -83,7 +83,7 @@ SIZES = ("24x32", "12x16", "6x8", "3x4")
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
 @pytest.mark.parametrize("classifier", ["LR", "FC800", "CNN16"])
 @pytest.mark.parametrize("change", ["none", "shift", "rotate"])
-def test_the_best_recipes_can_be_used(
+def test_best_recipes_can_be_used(
     source: Source, encoder: str, classifier: str, change: str
 ) -> None:
     for embedding in SIZES if change == "none" else SIZES[:1]:
@@ -94,7 +94,7 @@ def test_the_best_recipes_can_be_used(
         make_model(settings, source, Camera())
 
 
-def test_the_best_recipe_depends_on_the_situation() -> None:
+def test_best_recipe_depends_on_the_situation() -> None:
     for classifier in ("LR", "FC800"):
         recipes = [find_recipe("best", Situation("mnist", "learned", s, classifier)) for s in SIZES]
         assert all(a != b for a, b in pairwise(recipes))
@@ -135,7 +135,7 @@ shift = 5e-5
 """
 
 
-def test_a_file(tmp_path: Path) -> None:
+def test_file(tmp_path: Path) -> None:
     settings = load_settings(write(tmp_path, FILE), {})
     assert (settings.data, settings.classifier, settings.seed) == ("fashion", "FC800", 3)
     assert settings.psf == Path("psf.npz")
@@ -156,7 +156,7 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
     assert load_settings(write(tmp_path, FILE), {"recipe": {"base": "default"}}).recipe.batch == 256
 
 
-def test_a_recipe_by_its_name_alone(tmp_path: Path) -> None:
+def test_recipe_by_its_name_alone(tmp_path: Path) -> None:
     settings = load_settings(write(tmp_path, 'recipe = "long"'), {})
     assert settings.recipe == find_recipe("long", Situation())
 
@@ -207,12 +207,12 @@ def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
+def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="missing: give a TOML file"):
         load_settings(tmp_path / "none.toml", {})
 
 
-def test_a_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
+def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     for name in TASKS:
         load_fresh_settings(None, {"task": name})
     assert load_fresh_settings(None, {}) == FreshSettings()
@@ -244,6 +244,6 @@ def test_files_of_fresh_masks_that_are_refused(tmp_path: Path, text: str, reason
     assert "\n" not in str(caught.value)
 
 
-def test_a_bad_option_names_its_task() -> None:
+def test_bad_option_names_its_task() -> None:
     with pytest.raises(TrainingError, match="task mnist_6x8: sede is not valid"):
         load_fresh_settings(None, {"task": "mnist_6x8", "sede": 3})

@@ -61,7 +61,7 @@ def test_files_are_fetched_once(
     download("small", tmp_path / "out", console())
 
 
-def test_a_wrong_digest_is_refused(
+def test_wrong_digest_is_refused(
     monkeypatch: pytest.MonkeyPatch, site: tuple[str, Path], tmp_path: Path
 ) -> None:
     base, folder = site
@@ -72,7 +72,7 @@ def test_a_wrong_digest_is_refused(
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_what_is_not_there(
+def test_download_that_is_not_there_is_named(
     monkeypatch: pytest.MonkeyPatch, site: tuple[str, Path], tmp_path: Path
 ) -> None:
     serve(monkeypatch, Remote(site[0], {"a.gz": sha(b"data")}))

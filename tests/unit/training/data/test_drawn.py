@@ -13,7 +13,7 @@ from veilcam_training.data.summary import summarise
 from veilcam_training.errors import TrainingError
 
 
-def test_a_drawn_folder_is_a_data_set(tmp_path: Path) -> None:
+def test_drawn_folder_is_a_data_set(tmp_path: Path) -> None:
     draw_folder(tmp_path / "a", 52, seed=1)
     assert recognise(tmp_path / "a") == "image-folder"
     source = open_source("image-folder", tmp_path / "a")
@@ -26,7 +26,7 @@ def test_a_drawn_folder_is_a_data_set(tmp_path: Path) -> None:
     assert source.digests() == same.digests() != other.digests()
 
 
-def test_a_shape_is_brighter_than_its_ground() -> None:
+def test_shape_is_brighter_than_its_ground() -> None:
     random = np.random.default_rng(1)
     for name in SHAPES:
         pixels = np.asarray(draw_shape(name, random)).astype(float)
@@ -36,7 +36,7 @@ def test_a_shape_is_brighter_than_its_ground() -> None:
         assert middle > corners + 40
 
 
-def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="too few"):
         draw_folder(tmp_path / "a", 10, seed=1)
     (tmp_path / "x").write_text("kept")

@@ -107,7 +107,7 @@ def test_doubtful_layout_is_refused_with_what_was_understood(
         open_source("image-folder", tmp_path).labels  # noqa: B018 - looks at the folders
 
 
-def test_what_is_passed_over_is_counted_by_kind(tmp_path: Path) -> None:
+def test_files_passed_over_are_counted_by_kind(tmp_path: Path) -> None:
     classes(tmp_path)
     for number in range(3):
         (tmp_path / "cat" / f"{number}.HEIC").write_bytes(b"")

@@ -94,7 +94,7 @@ def numbered(count: int) -> Images:
     return Images(torch.zeros(count, 1, 1, dtype=torch.uint8), torch.arange(count))
 
 
-def test_the_split_is_fixed_and_its_parts_are_disjoint() -> None:
+def test_split_is_fixed_and_its_parts_are_disjoint() -> None:
     torch.manual_seed(1)
     first = split(numbered(100))
     torch.manual_seed(2)
@@ -107,7 +107,7 @@ def test_the_split_is_fixed_and_its_parts_are_disjoint() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, 0.001])
-def test_a_split_with_an_empty_part(share: float) -> None:
+def test_split_with_an_empty_part(share: float) -> None:
     with pytest.raises(TrainingError, match="both parts"):
         split(numbered(100), share)
 

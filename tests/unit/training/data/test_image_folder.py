@@ -113,7 +113,7 @@ def test_every_form_is_found_and_read(
     assert again.digests() == source.digests()
 
 
-def test_what_else_lies_there_is_no_class(tmp_path: Path) -> None:
+def test_other_files_are_no_class(tmp_path: Path) -> None:
     by_class(tmp_path)
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "read.txt").write_text("none of them is a picture")
@@ -232,7 +232,7 @@ def test_groups_are_never_split(tmp_path: Path) -> None:
     assert len(torch.unique(groups)) == 5
 
 
-def test_a_table_may_name_groups(tmp_path: Path) -> None:
+def test_table_may_name_groups(tmp_path: Path) -> None:
     of_a_table(tmp_path)
     table = tmp_path / "labels.csv"
     lines = [line.rsplit(",", 1)[0] for line in table.read_text().splitlines()]
@@ -281,14 +281,14 @@ def test_damaged_pictures_are_all_named_at_once(tmp_path: Path) -> None:
         ("test_share = 0.01", "use more of them"),
     ],
 )
-def test_a_bad_description_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_bad_description_is_refused(text: str, said: str, tmp_path: Path) -> None:
     by_class(tmp_path)
     (tmp_path / "dataset.toml").write_text(text)
     with pytest.raises(TrainingError, match=said):
         open_source("image-folder", tmp_path).training()
 
 
-def test_a_description_sets_the_scene(tmp_path: Path) -> None:
+def test_description_sets_the_scene(tmp_path: Path) -> None:
     by_class(tmp_path)
     (tmp_path / "dataset.toml").write_text("rows=6\ncolumns=8\nheight=0.1\ndistance=0.3")
     source = open_source("image-folder", tmp_path)
@@ -314,7 +314,7 @@ def test_a_description_sets_the_scene(tmp_path: Path) -> None:
         (["file,label", "all/0.png,a", "all/1.png,a"], "one class"),
     ],
 )
-def test_a_bad_table_is_refused(lines: list[str], said: str, tmp_path: Path) -> None:
+def test_bad_table_is_refused(lines: list[str], said: str, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     folder.mkdir()
     of_a_table(folder)
@@ -363,7 +363,7 @@ def test_arrays_may_be_in_colour_and_in_groups(tmp_path: Path) -> None:
     assert not {number // 2 for number in seen[0]} & {number // 2 for number in seen[1]}
 
 
-def test_a_group_or_a_class_in_one_part_alone_is_refused(tmp_path: Path) -> None:
+def test_group_or_a_class_in_one_part_alone_is_refused(tmp_path: Path) -> None:
     by_class(tmp_path / "train", 14)
     save(tmp_path / "test" / "dog" / "1.png", gray(0))
     source = open_source("image-folder", tmp_path)

@@ -34,7 +34,7 @@ def written(path: Path, labels: str = "0110") -> Measurements:
     return read_measurements(path)
 
 
-def test_what_the_sdk_writes_is_read(path: Path) -> None:
+def test_files_of_the_sdk_are_read(path: Path) -> None:
     found = written(path)
     assert found.labels.tolist() == [0, 1, 1, 0]
     assert found.header.labels == ("0", "1")
@@ -48,7 +48,7 @@ def test_what_the_sdk_writes_is_read(path: Path) -> None:
     assert "values" not in repr(found)
 
 
-def test_a_fresh_masks_key_is_read(path: Path) -> None:
+def test_fresh_masks_key_is_read(path: Path) -> None:
     receiver, device = ReceiverKey.generate(), Device()
     epoch = Epoch(device, receiver)
     daemon = Daemon(
@@ -63,7 +63,7 @@ def test_a_fresh_masks_key_is_read(path: Path) -> None:
     assert epoch.key.levels().hex() not in repr(found)
 
 
-def test_a_last_line_that_was_cut_off_is_left_out(path: Path) -> None:
+def test_last_line_that_was_cut_off_is_left_out(path: Path) -> None:
     whole = written(path)
     path.write_bytes(path.read_bytes()[:-5])
     assert len(read_measurements(path)) == len(whole) - 1
@@ -81,7 +81,7 @@ def test_a_last_line_that_was_cut_off_is_left_out(path: Path) -> None:
     ],
     ids=str,
 )
-def test_a_line_that_is_no_measurement_is_named(path: Path, change: dict[str, Any]) -> None:
+def test_line_that_is_no_measurement_is_named(path: Path, change: dict[str, Any]) -> None:
     written(path)
     lines = path.read_text().splitlines()
     lines[2] = json.dumps({**json.loads(lines[2]), **change})
@@ -104,7 +104,7 @@ def test_another_file_is_refused(path: Path, content: bytes, why: str) -> None:
         read_measurements(path)
 
 
-def test_a_file_without_measurements_is_refused(path: Path, tmp_path: Path) -> None:
+def test_file_without_measurements_is_refused(path: Path, tmp_path: Path) -> None:
     written(path)
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     with pytest.raises(TrainingError, match="holds no measurements"):

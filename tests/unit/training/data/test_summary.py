@@ -50,7 +50,7 @@ def test_counts_groups_and_what_is_in_both_parts() -> None:
     assert "3 training pictures, the smallest 1" in summary.warnings[1]
 
 
-def test_an_even_set_without_repeats_has_no_warning() -> None:
+def test_even_set_without_repeats_has_no_warning() -> None:
     source: Source = Given((images([1, 2], [0, 1]), images([3, 4], [0, 1])))
     assert summarise(source).warnings == ()
 

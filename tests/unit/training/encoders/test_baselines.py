@@ -18,7 +18,7 @@ SMALL = Camera(sensor=Sensor(rows=1520, columns=2028))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [(0, 0), (0, 27), (20, 5)])
-def test_a_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[int, int]) -> None:
+def test_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[int, int]) -> None:
     embedding = Embedding(152, 203)  # 31 um
     encoder = PsfEncoder(Setup(CAMERA, SCENE, embedding), b.lens_psf(CAMERA))
     scene = torch.zeros(1, 28, 28)

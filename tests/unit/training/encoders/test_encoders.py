@@ -90,7 +90,7 @@ def test_contract(name: str, colour: bool, psf_file: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("name", ENCODERS)
-def test_a_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
+def test_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
     encoder = make(name, psf_file, colour=colour)
     whole = torch.zeros_like(scenes(colour))
     whole[..., 2:6, 3:8] = scenes(colour)[..., 2:6, 3:8]
@@ -144,7 +144,7 @@ def test_masks_transfer_what_the_panel_shows(name: str) -> None:
     torch.testing.assert_close(encoder.transfer(), shown)
 
 
-def test_a_mask_that_starts_from_a_pinhole_forms_an_image() -> None:
+def test_mask_that_starts_from_a_pinhole_forms_an_image() -> None:
     setup = Setup(Camera(), Scene(), Embedding())
     scene = torch.zeros(2, 28, 28)
     scene[0, :4, :4], scene[1, -4:, -4:] = 1, 1
@@ -185,7 +185,7 @@ def test_no_weight_dies() -> None:
         assert bool(moved[bound].any())
 
 
-def test_a_closed_mask_opens_again() -> None:
+def test_closed_mask_opens_again() -> None:
     """From a mask that is opaque everywhere, the optimiser finds its way back to the light."""
     encoder = fresh("learned", None)
     assert isinstance(encoder, LearnedMask)
@@ -229,7 +229,7 @@ def test_gradient_is_the_slope_of_the_unrounded_mask() -> None:
     torch.testing.assert_close(slope, gradients[1][row, column], rtol=2e-2, atol=1e-5)
 
 
-def test_a_closed_sub_pixel_is_closed_when_it_counts() -> None:
+def test_closed_sub_pixel_is_closed_when_it_counts() -> None:
     encoder = fresh("learned", None)
     assert isinstance(encoder, LearnedMask)
     with torch.no_grad():
@@ -268,7 +268,7 @@ def test_unknown_encoder_and_psf_that_is_not_wanted(psf_file: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lens", "coded_aperture", "diffuser", "fixed_measured"])
-def test_a_measured_psf_takes_the_place_of_a_simulated_one(name: str, psf_file: Path) -> None:
+def test_measured_psf_takes_the_place_of_a_simulated_one(name: str, psf_file: Path) -> None:
     setup = Setup(CAMERA, SCENE, EMBEDDING)
     file = PsfFile(psf_file, distance=2e-3)
     made = make_encoder(name, setup, stream(0, "encoder"), psf=file)
@@ -276,7 +276,7 @@ def test_a_measured_psf_takes_the_place_of_a_simulated_one(name: str, psf_file: 
     torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
 
 
-def test_a_measured_lens_stands_where_the_ideal_one_does(psf_file: Path) -> None:
+def test_measured_lens_stands_where_the_ideal_one_does(psf_file: Path) -> None:
     setup = Setup(CAMERA, SCENE, EMBEDDING)
     made = make_encoder("lens", setup, stream(0, "encoder"), psf=PsfFile(psf_file))
     wanted = PsfEncoder(setup, read_psf(PsfFile(psf_file), LENS_DISTANCE))

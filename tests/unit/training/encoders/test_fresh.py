@@ -43,7 +43,7 @@ def test_masks_of_two_purposes_and_of_one_stream_differ(source: Source) -> None:
     assert torch.equal(again.transfer, masks[0].transfer)
 
 
-def test_a_ring_replaces_its_oldest_masks(source: Source) -> None:
+def test_ring_replaces_its_oldest_masks(source: Source) -> None:
     camera = make_camera(source, masks=4, renewed=1)
     first, second = islice(camera.rings("x"), 2)
     assert second[:3] == first[1:]
@@ -64,7 +64,7 @@ def test_scenes_are_spread_evenly_over_the_masks(source: Source) -> None:
         camera(scenes, grid=1)
 
 
-def test_a_wrong_key_is_another_masks(source: Source) -> None:
+def test_wrong_key_is_another_masks(source: Source) -> None:
     camera = make_camera(source)
     masks = list(islice(camera.masks("x"), 4))
     for index, (mask,) in enumerate(islice(camera.one_by_one("x", wrong_key=True), 2)):
@@ -73,7 +73,7 @@ def test_a_wrong_key_is_another_masks(source: Source) -> None:
 
 
 @pytest.mark.slow
-def test_a_mask_is_prepared_for_the_nominal_panel_and_shown_by_a_displaced_one(
+def test_mask_is_prepared_for_the_nominal_panel_and_shown_by_a_displaced_one(
     source: Source,
 ) -> None:
     exact = next(make_camera(source).masks("x"))

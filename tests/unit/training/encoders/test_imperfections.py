@@ -55,7 +55,7 @@ def test_drawn_in_training_alone(kind: type[LearnedMask | FixedMask]) -> None:
     assert bool((error < 0.5).all())
 
 
-def test_a_panel_that_is_shifted_shifts_the_picture() -> None:
+def test_panel_that_is_shifted_shifts_the_picture() -> None:
     """To first order the transfer moves by the gradient along the axis: check with two shifts."""
     weights = torch.rand(SETUP.camera.mask_shape, generator=stream(0, "weights"))
     fine = Setup(SETUP.camera, SETUP.scene, Embedding(76, 1))

@@ -118,7 +118,7 @@ def test_which_stored_mask_was_shown_is_found_from_the_light(bundle: Bundle) -> 
         assert found.tolist() == [mask for mask in masks for _ in range(10)]
 
 
-def test_a_bundle_reads_the_camera_better_afterwards(bundle: Bundle, tmp_path: Path) -> None:
+def test_bundle_reads_the_camera_better_afterwards(bundle: Bundle, tmp_path: Path) -> None:
     masks = [0, 2] * 4
     adapted = adapt_bundle(bundle, measured(bundle, masks, MISBUILT, 80))
     others = measured(bundle, masks, MISBUILT, 80, seed=9)
@@ -172,7 +172,7 @@ def test_measurements_of_another_bundle_and_a_frame_for_pairs_are_refused(bundle
 @pytest.mark.thorough
 @pytest.mark.numerical
 @pytest.mark.parametrize("mode", ["pairs", "fresh"])
-def test_what_a_daemon_seals_is_read_here_as_there(tmp_path: Path, mode: str) -> None:
+def test_captures_sealed_by_a_daemon_are_read_here_as_there(tmp_path: Path, mode: str) -> None:
     """Through the whole daemon: the same label for the same measurement, masks and all."""
     served = {"pairs": BUNDLE, "fresh": FRESH}[mode]
     receiver, digits, path = ReceiverKey.generate(), load_digits(), tmp_path / "m.jsonl"

@@ -100,8 +100,7 @@ def test_onnx_runtime_computes_what_the_daemon_does_with_every_kind_of_layer() -
     }
 
 
-@pytest.mark.thorough
-def test_a_model_is_valid_whole_and_the_same_again() -> None:
+def test_model_is_valid_whole_and_the_same_again() -> None:
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxscript")
     made = [
@@ -121,10 +120,7 @@ def pairs() -> Bundle:
     return dataclasses.replace(bundle, pairs=bundle.pairs[:2])
 
 
-@pytest.mark.thorough
-def test_a_bundle_of_pairs_is_written_classifier_by_classifier(
-    pairs: Bundle, tmp_path: Path
-) -> None:
+def test_bundle_of_pairs_is_written_classifier_by_classifier(pairs: Bundle, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     out = tmp_path / "out"
     written = export_bundle(pairs, out, "veilcam-train export x")
@@ -153,7 +149,7 @@ def test_a_bundle_of_pairs_is_written_classifier_by_classifier(
             assert pair.levels.tobytes() not in path.read_bytes()
 
 
-def test_a_bundle_of_fresh_masks_has_one_classifier(tmp_path: Path) -> None:
+def test_bundle_of_fresh_masks_has_one_classifier(tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     bundle = make_bundle()
     names = [path.name for path in export_bundle(bundle, tmp_path, "x")]
@@ -166,7 +162,7 @@ def test_a_bundle_of_fresh_masks_has_one_classifier(tmp_path: Path) -> None:
     assert "estimate and deviation of the decoded scene, 6 x 7 each" in card
 
 
-def test_the_card_says_data_accuracy_privacy_and_commands(pairs: Bundle) -> None:
+def test_card_says_data_accuracy_privacy_and_commands(pairs: Bundle) -> None:
     card = model_card(pairs, ("classifier-0.onnx",), "veilcam-train export x --out y")
     command, digests = pairs.provenance["command"], pairs.provenance["data_sha256"]
     assert isinstance(digests, dict)
@@ -200,13 +196,12 @@ def test_the_card_says_data_accuracy_privacy_and_commands(pairs: Bundle) -> None
         (1, 29, 0.0061, 0.1718),
     ],
 )
-def test_the_interval_is_wilsons(right: int, count: int, low: float, high: float) -> None:
+def test_interval_is_wilsons(right: int, count: int, low: float, high: float) -> None:
     found = accuracy_interval(Accuracy(right / count, "x", count))
     assert found == pytest.approx((low, high), abs=5e-5)
 
 
-@pytest.mark.thorough
-def test_a_folder_that_cannot_be_and_a_missing_package_are_one_line(
+def test_folder_that_cannot_be_and_a_missing_package_are_one_line(
     pairs: Bundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()

@@ -28,7 +28,7 @@ def measurements(count: int = 4000) -> Tensor:
     return 5 + shared + own
 
 
-def test_its_inputs_are_decorrelated() -> None:
+def test_inputs_of_a_layer_are_decorrelated() -> None:
     coordinates, values = WhitenedWeights(12), measurements()
     for batch in values.reshape(-1, 200, 12):
         coordinates.observe(batch, torch.zeros(1, 12))
@@ -37,7 +37,7 @@ def test_its_inputs_are_decorrelated() -> None:
     assert values.T.corrcoef()[0, 1] > 0.9
 
 
-def test_it_follows_inputs_that_change() -> None:
+def test_whitening_follows_inputs_that_change() -> None:
     coordinates, before = WhitenedWeights(12), measurements()
     after = before.flip(1)
     # What was 10,000 times the variance of what is there now takes its time to be forgotten.
@@ -48,7 +48,7 @@ def test_it_follows_inputs_that_change() -> None:
     torch.testing.assert_close(white, torch.eye(12), atol=0.3, rtol=0)
 
 
-def test_what_was_learned_stays_when_coordinates_are_renewed() -> None:
+def test_weights_learned_stay_when_coordinates_are_renewed() -> None:
     torch.manual_seed(0)
     coordinates, values, fitted = WhitenedWeights(12), measurements(), torch.randn(5, 12)
     chosen, renewed = 0, 0
@@ -72,7 +72,7 @@ def test_inputs_that_do_not_vary_do_no_harm() -> None:
     assert coordinates.matrix.isfinite().all()
 
 
-def test_a_plain_copy_acts_the_same() -> None:
+def test_plain_copy_acts_the_same() -> None:
     torch.manual_seed(0)
     classifier = nn.Sequential(nn.Linear(12, 5, bias=False), nn.BatchNorm1d(5), nn.Linear(5, 2))
     values = measurements()
@@ -92,7 +92,7 @@ def test_a_plain_copy_acts_the_same() -> None:
     assert all(tensor.equal(before[name]) for name, tensor in classifier.state_dict().items())
 
 
-def test_a_bundle_holds_a_plain_classifier(source: Source) -> None:
+def test_bundle_holds_a_plain_classifier(source: Source) -> None:
     recipe = Recipe(epochs=2, batch=90, normalisation="white")
     chosen = Settings(embedding="6x8", classifier="FC20", recipe=recipe)
     model = make_model(chosen, source, Camera())
@@ -105,12 +105,12 @@ def test_a_bundle_holds_a_plain_classifier(source: Source) -> None:
 
 
 @pytest.mark.parametrize("name", ["LR", "CNN8", "VGG11"])
-def test_it_needs_a_hidden_layer_that_takes_all(name: str) -> None:
+def test_whitening_needs_a_hidden_layer_that_takes_all(name: str) -> None:
     task = Task(1, 12, 16, 10, rectified=True, normalisation="white")
     with pytest.raises(TrainingError, match="use it with FC or MLP"):
         make_layers(name, task)
 
 
-def test_it_needs_full_precision() -> None:
+def test_whitening_needs_full_precision() -> None:
     with pytest.raises(ValidationError, match="use precision 'full'"):
         Recipe(normalisation="white", precision="mixed")

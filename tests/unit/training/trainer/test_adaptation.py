@@ -44,7 +44,7 @@ def distance(one: nn.Module, other: nn.Module) -> float:
 
 
 @pytest.mark.parametrize("count", [FEW, 40])
-def test_a_camera_that_turns_its_numbers_around_is_learned(
+def test_camera_that_turns_its_numbers_around_is_learned(
     classifier: nn.Sequential, count: int
 ) -> None:
     values, labels = inputs(count)
@@ -58,7 +58,7 @@ def test_a_camera_that_turns_its_numbers_around_is_learned(
     assert accuracy(found.classifier, others.flip(1), truth) > 0.8
 
 
-def test_a_classifier_that_reads_what_is_measured_is_kept(classifier: nn.Sequential) -> None:
+def test_classifier_that_reads_what_is_measured_is_kept(classifier: nn.Sequential) -> None:
     with torch.no_grad():
         for weights in classifier[3].parameters():
             weights.mul_(3)  # as sure as it may be
@@ -68,7 +68,7 @@ def test_a_classifier_that_reads_what_is_measured_is_kept(classifier: nn.Sequent
     assert distance(found.classifier, classifier) == 0
 
 
-def test_what_is_left_out_is_not_seen() -> None:
+def test_captures_left_out_are_not_seen() -> None:
     # Nothing can be learned of one such input from the others, but each by heart.
     generator = torch.Generator().manual_seed(4)
     values, labels = torch.randn(60, 200, generator=generator), torch.arange(60) % CLASSES
@@ -81,7 +81,7 @@ def test_what_is_left_out_is_not_seen() -> None:
     assert max(trial.accuracy for trial in found.trials) < 0.25 + 0.22
 
 
-def test_the_trial_of_what_is_kept_is_the_classifier_itself(classifier: nn.Sequential) -> None:
+def test_trial_of_what_is_kept_is_the_classifier_itself(classifier: nn.Sequential) -> None:
     values, labels = inputs(30)
     kept = adapt(classifier, values, labels).trials[0]
     assert kept.accuracy == pytest.approx(accuracy(classifier, values, labels))
@@ -89,7 +89,7 @@ def test_the_trial_of_what_is_kept_is_the_classifier_itself(classifier: nn.Seque
     assert kept.loss == pytest.approx(float(loss), rel=1e-5)
 
 
-def test_the_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
+def test_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
     classifier: nn.Sequential,
 ) -> None:
     values, labels = inputs(40)
@@ -103,7 +103,7 @@ def test_the_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
     assert distance(few, classifier) < distance(many, classifier)
 
 
-def test_the_last_layer_alone_changes_where_it_alone_may(classifier: nn.Sequential) -> None:
+def test_last_layer_alone_changes_where_it_alone_may(classifier: nn.Sequential) -> None:
     before = {name: each.clone() for name, each in classifier.state_dict().items()}
     values, labels = inputs(20)
     tuned = fine_tune(classifier, Freedom("last"), values.flip(1), labels)
@@ -124,7 +124,7 @@ def test_the_last_layer_alone_changes_where_it_alone_may(classifier: nn.Sequenti
         assert torch.equal(each, before[name])
 
 
-def test_the_seed_alone_decides_what_is_left_out_and_the_order(classifier: nn.Sequential) -> None:
+def test_seed_alone_decides_what_is_left_out_and_the_order(classifier: nn.Sequential) -> None:
     values, labels = inputs(250)  # more than a step takes
     first, same, other = (
         adapt(classifier, values.flip(1), labels, seed=seed) for seed in (5, 5, 6)

@@ -23,7 +23,7 @@ def places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return (images.sum(2) * at).sum(1) / light, (images.sum(1) * at).sum(1) / light
 
 
-def test_nothing_is_nothing() -> None:
+def test_augmentation_of_nothing_changes_nothing() -> None:
     assert not Augmentation().any
     images = torch.rand(4, 28, 20, generator=stream(0, "images"))
     torch.testing.assert_close(Augmentation()(images, stream(0, "jitter")), images)
@@ -66,7 +66,7 @@ def test_colours_move_together() -> None:
 
 
 @pytest.mark.parametrize("name", ["rotation", "scale", "shear", "shift"])
-def test_a_sheared_one_moves_by_the_amount_asked_for(name: str) -> None:
+def test_sheared_one_moves_by_the_amount_asked_for(name: str) -> None:
     none: dict[str, Any] = {"rotation": 0.0, "scale": 0.0, "shear": 0.0, "shift": 0.0}
     images = torch.zeros(50, 21, 21)
     images[:, 8:13, 5:16] = 1
@@ -85,7 +85,7 @@ def test_a_sheared_one_moves_by_the_amount_asked_for(name: str) -> None:
     assert float(much.max()) <= 1 + 1e-6
 
 
-def test_a_sheared_one_mirrors_half_of_the_images() -> None:
+def test_sheared_one_mirrors_half_of_the_images() -> None:
     images = torch.zeros(200, 9, 9)
     images[:, :, :3] = 1
     still = ShearedAugmentation(rotation=0, scale=0, shear=0, shift=0, mirror=True)

@@ -152,7 +152,7 @@ def test_training_takes_few_places_and_evaluation_one_for_each_image() -> None:
     assert not torch.allclose(trained, evaluated)
 
 
-def test_an_object_that_does_not_fit() -> None:
+def test_object_that_does_not_fit() -> None:
     with pytest.raises(TrainingError, match="does not fit the sensor's view"):
         Shift(Scene(height=0.6), CAMERA)
     with pytest.raises(TrainingError, match="use one of none, shift"):
@@ -185,7 +185,7 @@ def test_rescaled_objects_are_on_the_finest_grid_with_room_for_them() -> None:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "lens", "digital"])
-def test_a_finer_grid_shows_the_same_object(encoder: str) -> None:
+def test_finer_grid_shows_the_same_object(encoder: str) -> None:
     """A blurred blob, as large on either grid: its embedding hardly depends on its pixels."""
     change = Rescale(IMAGE)
     setup = Setup(CAMERA, change.scene, Embedding(6, 8), finer=change.finer)
@@ -225,7 +225,7 @@ def test_rescale_draws_every_height_between_its_bounds() -> None:
 
 
 @pytest.mark.parametrize("angle", [-math.pi / 2, math.pi / 2])
-def test_a_right_angle_is_exact(angle: float) -> None:
+def test_right_angle_is_exact(angle: float) -> None:
     c, s = math.cos(angle), math.sin(angle)
     matrix = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]).repeat(6, 1, 1)
     turned = warp(images(), matrix, (28, 28))
@@ -291,7 +291,7 @@ def read_one_by_one(image: Tensor, corners: Tensor, ends: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("perspective", [0.0, 0.3])
-def test_a_warp_is_that_of_each_pixel_on_its_own(perspective: float) -> None:
+def test_warp_is_that_of_each_pixel_on_its_own(perspective: float) -> None:
     """Corners turned and moved inwards; warp works in float32, whence the tolerance."""
     ends = 14 * torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     inwards = 1 - perspective * torch.rand(3, 4, 2, generator=stream(0, "corners"))

@@ -11,13 +11,12 @@ from veilcam_training.attacks.card.pools import CAPTURES
 from veilcam_training.attacks.card.shots import Found, known_pairs, of_masks, recovered
 from veilcam_training.attacks.card.study import Study, by_pairs
 from veilcam_training.attacks.card.threats import KNOWN
-from veilcam_training.attacks.clustering import adjusted_rand_index
+from veilcam_training.attacks.clustering import adjusted_rand_index, by_directions
 from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
 from veilcam_training.attacks.linkage import link_area, links
 from veilcam_training.attacks.mask_recovery import MeanCapture
 from veilcam_training.attacks.metrics import mean_picture_advantage, psnr, ssim
 from veilcam_training.attacks.networks import Seen, by_network, judged, linear, perceptron
-from veilcam_training.attacks.sorting import by_directions
 from veilcam_training.seeding import stream
 
 FOLDS = 2

@@ -9,8 +9,12 @@ from torch import Tensor
 from veilcam_training.attacks.card.study import HELD, Shots, Study
 from veilcam_training.attacks.intervals import Gain, accuracy_gain
 from veilcam_training.attacks.known_pairs import FewNetwork, by_anchors, hits, readers
-from veilcam_training.attacks.leaked import estimates
-from veilcam_training.attacks.mask_recovery import Evidence, KnownPictures, recover_mask
+from veilcam_training.attacks.mask_recovery import (
+    Evidence,
+    KnownPictures,
+    estimates,
+    recover_mask,
+)
 from veilcam_training.attacks.networks import judged
 from veilcam_training.seeding import stream
 

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_key_tells_faces_and_what_leaves_does_not(folder: Path) -> None:
+def test_key_tells_faces_and_what_leaves_does_not(folder: Path) -> None:
     subject = make_subject(make_fresh(), make_images().scenes(slice(0, 300)), seed=1)
     study = Study(subject, make_images(), TINY, seed=1, folder=None, tell=lambda *_: None)
     notes = face_notes(study, load_faces(folder, SCENE))

@@ -50,7 +50,7 @@ def test_of_fresh_masks_the_key_decodes_and_nothing_else(form: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_list_of_stored_masks_has_the_right_one(tmp_path: Path) -> None:
+def test_list_of_stored_masks_has_the_right_one(tmp_path: Path) -> None:
     # Two masks: a wrong one is always the other, never by chance the same.
     found = pool(make_pairs(2), tmp_path)
     assert error(found, "listed") < 1.2 * error(found, "right")
@@ -66,7 +66,7 @@ def test_a_list_of_stored_masks_has_the_right_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_attacker_s_own_camera_has_other_masks_and_no_classifier() -> None:
+def test_attacker_s_own_camera_has_other_masks_and_no_classifier() -> None:
     found = pool(make_pairs(2), own=True)
     assert found.scores.shape[-1] == 0
     assert error(found, "right") < 0.5 * error(found, "wrong")

@@ -96,7 +96,7 @@ def test_no_attack_beats_chance_behind_fresh_white_ones(closed: Made) -> None:
 
 
 @pytest.mark.slow
-def test_a_page_needs_nothing_else_and_shows_every_row(leaking: Made, closed: Made) -> None:
+def test_page_needs_nothing_else_and_shows_every_row(leaking: Made, closed: Made) -> None:
     for card, study in (leaking, closed):
         pictures = draw_pictures(study)
         page = write_page(card, pictures)
@@ -111,7 +111,7 @@ def test_a_page_needs_nothing_else_and_shows_every_row(leaking: Made, closed: Ma
 
 
 @pytest.mark.slow
-def test_a_card_that_was_broken_off_goes_on_where_it_was(
+def test_card_that_was_broken_off_goes_on_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
@@ -160,7 +160,7 @@ def outcomes(form: str, *, quick: bool = False, **values: float) -> dict[str, st
     return {row.threat: row.outcome for row in judged}
 
 
-def test_a_row_passes_within_its_threshold_and_fails_beyond() -> None:
+def test_row_passes_within_its_threshold_and_fails_beyond() -> None:
     assert set(outcomes("white").values()) == {"PASS", "NOT CLAIMED"}
     assert outcomes("white", T1=1.2)["T1"] == "FAIL"
     assert outcomes("white", quick=True, T1=1.2)["T1"] == "PASS"
@@ -171,14 +171,14 @@ def test_a_row_passes_within_its_threshold_and_fails_beyond() -> None:
     assert outcomes("white", T0=59.0)["T0"] == "FAIL"
 
 
-def test_what_is_not_proven_fails() -> None:
+def test_row_that_is_not_proven_fails() -> None:
     unsure = [found(name, 0.0, 1.0) for name in THREATS]
     rows_of = {row.threat: row for row in judge(unsure, "white", quick=False)}
     assert rows_of["T1"].outcome == "FAIL"
     assert rows_of["T1"].end > rows_of["T1"].threshold
 
 
-def test_the_end_of_sanity_is_the_lower_one() -> None:
+def test_end_of_sanity_is_the_lower_one() -> None:
     sane = judge([found("T0", 80.0, 1.0)], "white", quick=True)[0]
     assert sane.end == pytest.approx(80 - 2.3263, abs=1e-3)
 
@@ -205,7 +205,7 @@ def test_figures_are_those_that_thresholds_are_on() -> None:
     assert figures["card_fresh_T7"] == 5
 
 
-def test_the_table_is_whole() -> None:
+def test_table_is_whole() -> None:
     assert set(ROWS) == set(THREATS)
     assert set(CLAIMED) == set(FORMS)
     for threat in THREATS.values():
@@ -229,7 +229,7 @@ def test_the_table_is_whole() -> None:
         (make_fresh, "pairs1", None, "wants 1 masks"),
     ],
 )
-def test_a_camera_that_cannot_be_is_refused(
+def test_camera_that_cannot_be_is_refused(
     bundle: Callable[[], Bundle], mode: str | None, form: str | None, reason: str
 ) -> None:
     with pytest.raises(TrainingError, match=reason):
@@ -246,7 +246,7 @@ def test_a_camera_that_cannot_be_is_refused(
         )
 
 
-def test_a_full_card_has_more_attackers_of_pictures() -> None:
+def test_full_card_has_more_attackers_of_pictures() -> None:
     def names(form: str, plan: Plan) -> set[str]:
         subject = make_subject(make_fresh(), make_images().scenes(slice(0, 300)), form=form, seed=1)
         study = Study(subject, make_images(), plan, seed=1, folder=None, tell=lambda *_: None)

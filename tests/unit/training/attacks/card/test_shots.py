@@ -17,7 +17,7 @@ from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.mask_recovery import Search, recover_mask
 from veilcam_training.bundle import Bundle
 
-HEAVY = replace(TINY, own=20, seen=20, epochs=4, recovered=3)
+HEAVY = replace(TINY, own=20, seen=20, epochs=2, recovered=3)
 
 
 def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
@@ -27,8 +27,8 @@ def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
     return ciphertext_only(study), this_mask(study)
 
 
-@pytest.mark.thorough
-def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
+@pytest.mark.slow
+def test_mask_is_found_where_embeddings_leave_as_they_were_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     light = partial(recover_mask, search=Search(steps=150, starts=1))
@@ -41,8 +41,8 @@ def test_a_mask_is_found_where_embeddings_leave_as_they_were_read(
     assert "adjusted Rand index" in unknown.notes[0]
 
 
-@pytest.mark.thorough
-def test_nothing_is_looked_for_where_captures_are_sealed() -> None:
+@pytest.mark.slow
+def test_sealed_captures_are_not_searched_for_masks() -> None:
     unknown, known = attacked(make_fresh(), "sealed")
     for found in (unknown, known):
         assert not any("gradient" in name for name in found.others)
@@ -54,7 +54,7 @@ def test_nothing_is_looked_for_where_captures_are_sealed() -> None:
     assert abs(known.gain.value) < 4 * 1.4
 
 
-def test_the_best_is_chosen_where_it_does_not_count() -> None:
+def test_best_is_chosen_where_it_does_not_count() -> None:
 
     scenes = make_images().scenes(slice(0, 300))
     subject = make_subject(make_pairs(1), scenes, seed=1)
