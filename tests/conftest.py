@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import pytest
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: set before torch is imported.
 os.environ["OMP_NUM_THREADS"] = os.environ.get("VEILCAM_TEST_THREADS", "1")
 
+import typer.testing
 from hypothesis import settings
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
@@ -21,6 +23,8 @@ if TORCH:
     import torch
 
     torch.set_num_threads(THREADS)
+# A command is made of its functions once, not for each test that calls it.
+typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 # The same cases in every run, as long as a machine takes for them; the long form draws new ones.
 settings.register_profile("short", max_examples=10, deadline=None, derandomize=True)
 settings.register_profile("long", max_examples=1000, deadline=None)

@@ -32,7 +32,7 @@ from typing import Annotated
 import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import work_folder
-from tests.unit.mqtt.rig import NODE, House, Mosquitto, free_port, until
+from tests.app.mqtt.rig import NODE, House, Mosquitto, free_port, until
 
 from veilcam_client import Camera, ConnectError, Seen
 from veilcam_server.demo_data import load_digits

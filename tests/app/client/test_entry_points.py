@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -16,17 +19,85 @@ PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text
 SCRIPTS: dict[str, str] = PROJECT["scripts"]
 EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "safetensors", "pooch", "fastapi", "aiomqtt")
 """First imports of every extra: without them there is the base install alone."""
+CLIENT = """
+import sys
+from veilcam_client import AsyncCamera, Camera, Embedding
+from veilcam_client.wire.status import example_status
+example_status()
+of_sdk = {name.split('.')[0] for name in sys.modules}
+import veilcam_client.cli.main
+of_command = {name.split('.')[0] for name in sys.modules}
+import numpy
+"""
+FORKS = """
+import json, os, sys
+for line in sys.stdin:
+    program, sys.argv, out, err = json.loads(line)
+    child = os.fork()
+    if child == 0:
+        for path, stream in ((out, 1), (err, 2)):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+        exec(program, {})
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
 
 
-def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.CompletedProcess[str]:
-    """Run a command of the project as its script does, where some modules are not installed."""
+class Done(NamedTuple):
+    """Exit code of a program, and what it wrote."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Done]
+
+
+@contextmanager
+def interpreter(folder: Path, loaded: str = "") -> Iterator[Run]:
+    """Yield what runs programs, each in a fork of an interpreter that is started once."""
+    out, err = folder / "out", folder / "err"
+    environment = {name: text for name, text in os.environ.items() if name != "OMP_NUM_THREADS"}
+    with subprocess.Popen(
+        [sys.executable, "-c", loaded + FORKS],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+
+        def run(program: str, *arguments: str) -> Done:
+            asked = json.dumps([program, ["command", *arguments], str(out), str(err)])
+            print(asked, file=process.stdin, flush=True)
+            code = int(process.stdout.readline())
+            return Done(code, out.read_text(), err.read_text())
+
+        yield run
+        process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    with interpreter(tmp_path_factory.mktemp("bare")) as run:
+        yield run
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """The client is loaded, with the libraries of the base install."""
+    with interpreter(tmp_path_factory.mktemp("base"), CLIENT) as run:
+        yield run
+
+
+def script(command: str, without: Iterable[str] = ()) -> str:
+    """The program that a script of the project is, where some modules are not installed."""
     module, _, function = SCRIPTS[command].partition(":")
-    program = (
+    return (
         f"import sys; sys.modules.update(dict.fromkeys({list(without)!r}))\n"
         f"from {module} import {function}; {function}()"
-    )
-    return subprocess.run(
-        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False
     )
 
 
@@ -41,28 +112,21 @@ def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.Com
         ("veilcam-mqtt", ["--help"], EXTRAS, "mqtt"),
     ],
 )
-def test_a_command_names_the_extra_that_it_needs(
-    command: str, arguments: list[str], missing: list[str], extra: str
+def test_command_names_the_extra_that_it_needs(
+    base: Run, command: str, arguments: list[str], missing: list[str], extra: str
 ) -> None:
     assert extra in PROJECT["optional-dependencies"]
-    done = run(command, *arguments, without=missing)
-    assert done.returncode == 1
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
+    done = base(script(command, missing), *arguments)
+    assert (done.code, done.out) == (1, "")
+    (line,) = done.err.splitlines()
     assert line.startswith(f"{command} needs the extra '{extra}' (")
     assert any(f"({name} is not installed)" in line for name in missing)
     assert line.endswith(f": run pip install -e '.[{extra}]' in the checkout")
 
 
-def test_the_client_needs_none() -> None:
-    done = run("veilcam", "--help", without=EXTRAS)
-    assert done.returncode == 0, done.stderr
-    assert "classify" in done.stdout
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [each for each in SCRIPTS if each != "veilcam"])
-def test_a_command_that_has_its_extra_runs(
+def test_command_that_has_its_extra_runs(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     module, _, function = SCRIPTS[command].partition(":")
@@ -73,14 +137,25 @@ def test_a_command_that_has_its_extra_runs(
     assert "Usage" in capsys.readouterr().out
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "getpass"])
-def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> None:
-    done = run("veilcamd", "--help", without=[missing])
-    assert done.returncode == 1
-    assert "Traceback" in done.stderr
-    assert missing in done.stderr.splitlines()[-1]
-    assert "needs the extra" not in done.stderr
+def test_module_that_no_extra_brings_is_a_defect_that_is_not_hidden(
+    base: Run, missing: str
+) -> None:
+    done = base(script("veilcamd", [missing]), "--help")
+    assert done.code == 1
+    assert "Traceback" in done.err
+    assert missing in done.err.splitlines()[-1]
+    assert "needs the extra" not in done.err
+
+
+def test_client_needs_no_extra_and_loads_numbers_and_cryptography_late(base: Run) -> None:
+    late = ("cryptography", "veilcam_server", "veilcam_optics", "veilcam_training", *EXTRAS)
+    done = base(
+        "from __main__ import of_sdk, of_command\n"
+        f"assert not of_sdk & {{'numpy', *{late}}}; assert not of_command & {set(late)}"
+    )
+    assert done.code == 0, done.err
+    assert "classify" in base(script("veilcam", EXTRAS), "--help").out
 
 
 MODULES = ("veilcam_server", "veilcam_mqtt")
@@ -95,30 +170,19 @@ class Tell:
             os._exit(0)
 
 sys.meta_path.insert(0, Tell())
-sys.argv = ["command", "--help"]
 """
 """Tells how many threads are set when the first library is loaded, and ends."""
 
 
 @pytest.mark.parametrize("chosen", [None, "3"])
 @pytest.mark.parametrize("started", [*SCRIPTS, *(f"-m {module}" for module in MODULES)])
-def test_a_command_computes_on_one_thread_unless_the_user_chose(
-    started: str, chosen: str | None
+def test_command_computes_on_one_thread_unless_the_user_chose(
+    bare: Run, started: str, chosen: str | None
 ) -> None:
-    module, _, function = SCRIPTS.get(started, "").partition(":")
+    choose = f"os.environ['OMP_NUM_THREADS'] = {chosen!r}\n" if chosen else ""
     run_it = (
         f"runpy.run_module({started.removeprefix('-m ')!r}, run_name='__main__')"
         if started.startswith("-m ")
-        else f"from {module} import {function}; {function}()"
+        else script(started)
     )
-    environment = {name: text for name, text in os.environ.items() if name != "OMP_NUM_THREADS"}
-    if chosen is not None:
-        environment["OMP_NUM_THREADS"] = chosen
-    done = subprocess.run(
-        [sys.executable, "-c", TELL + run_it],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout == f"threads {chosen or 1}\n"
+    assert bare(TELL + choose + run_it, "--help").out == f"threads {chosen or 1}\n"

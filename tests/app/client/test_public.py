@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,28 +100,6 @@ def test_httpx_is_known_to_one_room() -> None:
             if any(name.split(".")[0] in ("httpx", "httpcore") for name in names):
                 importers.add(path.parent.name)
     assert importers == {"http"}
-
-
-def test_the_sdk_needs_no_torch_and_loads_no_cryptography_before_it_opens() -> None:
-    script = (
-        "import sys, veilcam_client, veilcam_client.cli.main\n"
-        "loaded = {name.split('.')[0] for name in sys.modules}\n"
-        "assert not loaded & {'torch', 'cryptography', 'fastapi', 'scipy', 'matplotlib',"
-        " 'veilcam_server', 'veilcam_optics', 'veilcam_training'}, loaded\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True)
-
-
-def test_a_label_is_read_without_numpy_which_comes_with_the_first_array() -> None:
-    script = (
-        "import sys; from veilcam_client import AsyncCamera, Camera, Embedding\n"
-        "from veilcam_client.wire.status import example_status\n"
-        "example_status()\n"
-        "assert 'numpy' not in sys.modules\n"
-        "Embedding(form='white', shape=(1,), values=(0.5,))\n"
-        "assert 'numpy' in sys.modules\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
 
 pytest.importorskip("aiomqtt", reason="the extra 'mqtt' is not installed")
 
-from tests.unit.mqtt.rig import MOSQUITTO, NODE, Daemon, House, Mosquitto, bridge, until
+from tests.app.mqtt.rig import MOSQUITTO, NODE, Daemon, House, Mosquitto, bridge, until
 
 if TYPE_CHECKING:
     import subprocess
@@ -23,45 +23,68 @@ pytestmark = pytest.mark.skipif(
 CONFIG = f"homeassistant/device/{NODE}/config"
 
 
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    made = Mosquitto(tmp_path, "allow_anonymous true")
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
+    made = Mosquitto(tmp_path_factory.mktemp("broker"), "allow_anonymous true")
     made.start()
     yield made
     made.kill()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def house(broker: Mosquitto) -> Iterator[House]:
     made = House(broker.port)
     yield made
     made.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
     made = Daemon()
-    made.believes("3", 0.876)
-    made.start()
     yield made
     made.kill()
 
 
+Bridges = Callable[[], "subprocess.Popen[bytes]"]
+
+
+@pytest.fixture(scope="module")
+def bridges(daemon: Daemon, broker: Mosquitto, house: House) -> Iterator[Bridges]:
+    """The bridge of all tests, started anew after its end."""
+    # Somebody switched the camera off before it came.
+    house.publish(f"veilcam/{NODE}/off", "PRESS", retain=True)
+    with ExitStack() as stack:
+        started: list[subprocess.Popen[bytes]] = []
+
+        def running() -> subprocess.Popen[bytes]:
+            if not started or started[-1].poll() is not None:
+                daemon.kill()
+                daemon.start()
+                started.append(stack.enter_context(bridge(daemon, broker)))
+            house.says("bridge", "online")
+            until(lambda: daemon.listeners == 1, "the bridge listens")
+            return started[-1]
+
+        yield running
+
+
 @pytest.fixture
-def running(daemon: Daemon, broker: Mosquitto, house: House) -> Iterator[subprocess.Popen[bytes]]:
-    with bridge(daemon, broker) as process:
-        house.says("bridge", "online")
-        until(lambda: daemon.listeners == 1, "the bridge listens")
-        yield process
+def running(bridges: Bridges, daemon: Daemon, house: House) -> subprocess.Popen[bytes]:
+    process = bridges()
+    daemon.say("seen", label="3", confidence=0.876, duration_s=0.5)
+    daemon.say("state", state="ready", detail=None, remedy=None)
+    for topic, payload in (("label", "3"), ("confidence", "88"), ("health", "ready")):
+        house.says(topic, payload)
+    until(lambda: len(house.events) > 0, "the event came")
+    house.heard.clear()
+    return process
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("running")
-def test_the_house_is_told_what_is_the_case_and_what_changes(daemon: Daemon, house: House) -> None:
+def test_house_is_told_what_is_the_case_and_what_changes(daemon: Daemon, house: House) -> None:
     assert json.loads(house.now[CONFIG])["device"]["identifiers"] == [NODE]
     assert house.now[f"veilcam/{NODE}/camera"] == "online"
-    for topic, payload in (("label", "3"), ("confidence", "88"), ("health", "ready")):
-        house.says(topic, payload)
     daemon.say("seen", label="7", confidence=0.991, duration_s=0.5)
     house.says("label", "7")
     house.says("confidence", "99")
@@ -86,7 +109,7 @@ def test_the_house_is_told_what_is_the_case_and_what_changes(daemon: Daemon, hou
 
 
 @pytest.mark.slow
-def test_a_broker_that_was_killed_is_told_all_of_it_again(
+def test_broker_that_was_killed_is_told_all_of_it_again(
     running: subprocess.Popen[bytes], daemon: Daemon, broker: Mosquitto, house: House
 ) -> None:
     broker.kill()
@@ -94,7 +117,6 @@ def test_a_broker_that_was_killed_is_told_all_of_it_again(
     while b"broker: connected" in (line := running.stderr.readline()) or b"broker" not in line:
         pass
     daemon.say("seen", label="5", confidence=0.9, duration_s=0.5)
-    daemon.believes("5", 0.9)
     # So that the house misses nothing of what the bridge says when the broker is back.
     running.send_signal(signal.SIGSTOP)
     house.forget()
@@ -114,9 +136,7 @@ def test_a_broker_that_was_killed_is_told_all_of_it_again(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("running")
-def test_a_daemon_that_was_killed_is_away_and_then_there_again(
-    daemon: Daemon, house: House
-) -> None:
+def test_daemon_that_was_killed_is_away_and_then_there_again(daemon: Daemon, house: House) -> None:
     daemon.kill()
     house.says("camera", "offline")
     assert house.now[f"veilcam/{NODE}/bridge"] == "online"
@@ -144,29 +164,24 @@ def test_home_assistant_is_told_all_of_it_when_it_comes_up(house: House) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("running")
 def test_buttons_do_what_they_say_and_an_old_press_does_nothing(
-    daemon: Daemon, house: House, broker: Mosquitto
+    daemon: Daemon, house: House
 ) -> None:
-    house.publish(f"veilcam/{NODE}/off", "PRESS", retain=True)
-    with bridge(daemon, broker):
-        house.says("bridge", "online")
-        house.publish(f"veilcam/{NODE}/rotate", "press")
-        house.publish(f"veilcam/{NODE}/rotate", "PRESS")
-        until(lambda: len(daemon.asked) == 1, "the mask changes")
-        house.publish(f"veilcam/{NODE}/off", "PRESS")
-        until(lambda: len(daemon.asked) == 2, "the camera is switched off")
+    house.publish(f"veilcam/{NODE}/rotate", "press")
+    house.publish(f"veilcam/{NODE}/rotate", "PRESS")
+    until(lambda: len(daemon.asked) == 1, "the mask changes")
+    house.publish(f"veilcam/{NODE}/off", "PRESS")
+    until(lambda: len(daemon.asked) == 2, "the camera is switched off")
     assert daemon.asked == [("POST", "/v1/rotation/advance"), ("PUT", "/v1/watch")]
 
 
 @pytest.mark.slow
-def test_the_last_will_and_the_goodbye_say_the_same(
-    daemon: Daemon, house: House, broker: Mosquitto
-) -> None:
+def test_last_will_and_goodbye_say_the_same(bridges: Bridges, house: House) -> None:
     for end in ("terminate", "kill"):
-        with bridge(daemon, broker) as process:
-            house.says("bridge", "online")
-            getattr(process, end)()
-            house.says("bridge", "offline")
-            process.wait()
-            assert process.stderr is not None
-            assert b"Traceback" not in process.stderr.read()
+        process = bridges()
+        getattr(process, end)()
+        house.says("bridge", "offline")
+        process.wait()
+        assert process.stderr is not None
+        assert b"Traceback" not in process.stderr.read()

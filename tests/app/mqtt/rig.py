@@ -166,8 +166,13 @@ class Daemon:
         )
         self.watch = self.watch.model_copy(update={"belief": belief})
 
-    def say(self, kind: str, **fields: object) -> None:
-        """Send an event to everybody who listens."""
+    def say(self, kind: str, **fields: Any) -> None:
+        """Send an event to everybody who listens; who asks afterwards is told the same."""
+        if kind == "state":
+            self.status.update(fields)
+        else:
+            label = fields["label"] if kind == "seen" else None
+            self.believes(label, fields["confidence"])
         self._count += 1
         event = {"id": f"b-{self._count}", "at": "2026-01-02T03:04:05Z", "kind": kind, **fields}
         for stream in self._streams:
