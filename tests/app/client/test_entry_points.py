@@ -68,11 +68,12 @@ def interpreter(folder: Path, loaded: str = "") -> Iterator[Run]:
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
+        answers = process.stdout
 
         def run(program: str, *arguments: str) -> Done:
             asked = json.dumps([program, ["command", *arguments], str(out), str(err)])
             print(asked, file=process.stdin, flush=True)
-            code = int(process.stdout.readline())
+            code = int(answers.readline())
             return Done(code, out.read_text(), err.read_text())
 
         yield run
