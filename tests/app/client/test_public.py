@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import ast
+import copy
 import inspect
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import veilcam_client
-from veilcam_client import AsyncCamera, AsyncEventStream, Camera, EventStream, VeilcamError
+from veilcam_client import (
+    ApiError,
+    AsyncCamera,
+    AsyncEventStream,
+    Camera,
+    EventStream,
+    VeilcamError,
+)
 from veilcam_client.cli.terminal import EXIT_CODES
+from veilcam_client.errors import FieldError
 
 PACKAGE = Path(veilcam_client.__file__).parent
 
@@ -102,12 +113,29 @@ def test_httpx_is_known_to_one_room() -> None:
     assert importers == {"http"}
 
 
-def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
-    def leaves(kind: type[VeilcamError]) -> set[type[VeilcamError]]:
-        below = kind.__subclasses__()
-        return set().union(*(leaves(each) for each in below)) if below else {kind}
+def leaves(kind: type[VeilcamError]) -> list[type[VeilcamError]]:
+    below = kind.__subclasses__()
+    return [leaf for each in below for leaf in leaves(each)] if below else [kind]
 
-    assert leaves(VeilcamError) == {kind for kind, _ in EXIT_CODES}
+
+@pytest.mark.parametrize("kind", leaves(VeilcamError))
+def test_error_survives_pickling_and_copying(kind: type[VeilcamError]) -> None:
+    fields = (FieldError("body.seconds", "too small"),)
+    told: dict[str, Any] = {
+        "code": "c",
+        "status": 429,
+        "request_id": "r1",
+        "retryable": True,
+        "retry_after": 1.5,
+    }
+    error = kind("why", **({**told, "errors": fields} if issubclass(kind, ApiError) else {}))
+    for again in (pickle.loads(pickle.dumps(error)), copy.deepcopy(error)):
+        assert type(again) is kind
+        assert (str(again), vars(again)) == ("why", vars(error))
+
+
+def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
+    assert set(leaves(VeilcamError)) == {kind for kind, _ in EXIT_CODES}
     assert len({code for _, code in EXIT_CODES}) == len(EXIT_CODES)
 
 
