@@ -58,7 +58,7 @@ def signature(function: Callable[..., object]) -> str:
     return re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(function)))
 
 
-def test_the_public_api_is_that_of_the_snapshot() -> None:
+def test_public_api_is_that_of_the_snapshot() -> None:
     # Changed on purpose? Then: python -m tests.app.client.test_public
     assert public_api() == SNAPSHOT.read_text()
 
@@ -139,7 +139,7 @@ def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
     assert len({code for _, code in EXIT_CODES}) == len(EXIT_CODES)
 
 
-def test_it_is_typed() -> None:
+def test_package_is_typed() -> None:
     assert (PACKAGE / "py.typed").exists()
 
 

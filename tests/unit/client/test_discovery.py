@@ -44,7 +44,7 @@ def announced(*infos: zeroconf.ServiceInfo) -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_what_announces_itself_is_found() -> None:
+def test_camera_that_announces_itself_is_found() -> None:
     with announced(info("Hall"), info("Door", "door.local.", 9000)):
         found = discover(1.5, HERE)
     assert found == (
@@ -64,22 +64,22 @@ def test_what_announces_itself_is_found() -> None:
         info(server="-."),
     ],
 )
-def test_what_is_no_camera_is_left_out(announcement: zeroconf.ServiceInfo) -> None:
+def test_announcement_of_no_camera_is_left_out(announcement: zeroconf.ServiceInfo) -> None:
     assert _camera(announcement) is None
 
 
-def test_a_name_says_nothing_to_a_terminal() -> None:
+def test_name_says_nothing_to_a_terminal() -> None:
     found = _camera(info("Hall\x9b2J"))
     assert found == FoundCamera("Hall2J", "https://hall.local:8787")
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
-def test_a_time_that_is_none_is_refused(seconds: float) -> None:
+def test_discovery_time_that_is_none_is_refused(seconds: float) -> None:
     with pytest.raises(ValueError, match="seconds"):
         discover(seconds)
 
 
-def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)
     with pytest.raises(DiscoveryError, match="discover"):
         Camera.discover()
@@ -99,7 +99,7 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch)
         ),
     ],
 )
-def test_the_command_prints_a_line_for_each(
+def test_discover_command_prints_a_line_for_each(
     found: tuple[FoundCamera, ...], words: str, lines: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("veilcam_client.camera.discover", lambda seconds: found)

@@ -54,7 +54,7 @@ async def result(answer: Any) -> Any:
 
 
 @KINDS
-async def test_with_a_key_embeddings_come_open(
+async def test_embeddings_come_open_with_a_key(
     kind: type, daemon: Daemon, device: Device, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
     receiver.write(tmp_path / "key")
@@ -70,7 +70,7 @@ async def test_with_a_key_embeddings_come_open(
 
 
 @KINDS
-async def test_without_a_key_they_stay_sealed(kind: type, daemon: Daemon) -> None:
+async def test_embeddings_stay_sealed_without_a_key(kind: type, daemon: Daemon) -> None:
     taken = await result(camera(kind, daemon).capture())
     assert taken.embedding.form == "sealed"
     assert taken.notes is None
@@ -79,7 +79,7 @@ async def test_without_a_key_they_stay_sealed(kind: type, daemon: Daemon) -> Non
 
 
 @KINDS
-async def test_what_comes_twice_or_of_another_camera_is_refused(
+async def test_capture_that_comes_twice_or_of_another_camera_is_refused(
     kind: type, device: Device, receiver: ReceiverKey
 ) -> None:
     told = Epoch(device, receiver).capture(0).model_dump(mode="json")
@@ -94,13 +94,17 @@ async def test_what_comes_twice_or_of_another_camera_is_refused(
 
 
 @KINDS
-async def test_what_comes_unsealed_is_refused(kind: type, receiver: ReceiverKey) -> None:
+async def test_unsealed_embedding_is_refused_where_a_key_was_given(
+    kind: type, receiver: ReceiverKey
+) -> None:
     with pytest.raises(SealedError, match="came white where a sealed one was expected"):
         await result(camera(kind, Daemon(), key=receiver).capture())
 
 
 @KINDS
-def test_a_key_that_cannot_be_used(kind: type, tmp_path: Path, receiver: ReceiverKey) -> None:
+def test_key_file_that_cannot_be_used_is_refused(
+    kind: type, tmp_path: Path, receiver: ReceiverKey
+) -> None:
     with pytest.raises(KeyFileError, match="cannot be read"):
         kind(key=tmp_path / "missing")
     with pytest.raises(ValueError, match="use the camera's public key"):

@@ -28,7 +28,7 @@ def check(payload: dict[str, Any]) -> None:
     Draft202012Validator(SCHEMA).validate(payload)
 
 
-def test_it_is_what_home_assistant_takes() -> None:
+def test_description_is_what_home_assistant_takes() -> None:
     check(json.loads(json.dumps(PAYLOAD)))
 
 
@@ -57,7 +57,7 @@ def without(*path: str) -> Callable[[dict[str, Any]], None]:
         lambda payload: payload["components"].update({"a b": payload["components"]["off"]}),
     ],
 )
-def test_the_schema_refuses_what_home_assistant_refuses(
+def test_schema_refuses_what_home_assistant_refuses(
     change: Callable[[dict[str, Any]], None],
 ) -> None:
     payload = copy.deepcopy(PAYLOAD)
@@ -75,7 +75,7 @@ def test_every_entity_is_there_only_with_bridge_and_camera() -> None:
     assert not any("availability" in entity for entity in PAYLOAD["components"].values())
 
 
-def test_the_label_may_be_any_of_the_bundle_or_nothing() -> None:
+def test_label_may_be_any_of_the_bundle_or_nothing() -> None:
     labels = STATUS.bundle.labels
     assert PAYLOAD["components"]["label"]["options"] == [*labels, "nothing"]
     assert {name: entity["platform"] for name, entity in PAYLOAD["components"].items()} == {
@@ -89,7 +89,7 @@ def test_the_label_may_be_any_of_the_bundle_or_nothing() -> None:
     }
 
 
-def test_nothing_secret_is_told() -> None:
+def test_description_tells_no_secret() -> None:
     told = json.dumps(PAYLOAD)
     assert STATUS.device.key not in told
     assert STATUS.receivers[0].label not in told

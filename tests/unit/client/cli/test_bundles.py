@@ -44,7 +44,7 @@ async def test_bundles_by_both_cameras(daemon: Daemon, kind: type) -> None:
     assert len(await result(camera.remove_bundle(DIGEST))) == 1
 
 
-def test_a_digest_is_no_path(daemon: Daemon) -> None:
+def test_digest_is_no_path(daemon: Daemon) -> None:
     client = httpx.Client(transport=httpx.MockTransport(daemon))
     with pytest.raises(KeyError):
         Camera("http://camera.local:1", http_client=client).activate_bundle("../status?x")
@@ -53,9 +53,7 @@ def test_a_digest_is_no_path(daemon: Daemon) -> None:
 
 @pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(("options", "star"), [([], " "), (["--activate"], "*")])
-def test_a_file_is_handed_over(
-    daemon: Daemon, tmp_path: Path, options: list[str], star: str
-) -> None:
+def test_file_is_handed_over(daemon: Daemon, tmp_path: Path, options: list[str], star: str) -> None:
     path = tmp_path / "a.veilcam"
     path.write_bytes(b"bundle")
     result = runner.invoke(commands.app, ["bundle", "install", str(path), *options])
@@ -68,7 +66,7 @@ def test_a_file_is_handed_over(
 @pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("command", [["activate", "ab"], ["install", "a.veilcam", "--activate"]])
 @pytest.mark.parametrize("options", [[], ["--allow-older"]])
-def test_an_older_one_is_asked_for(
+def test_older_bundle_is_asked_for(
     daemon: Daemon,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -118,13 +116,13 @@ def test_version_and_owner_in_words() -> None:
         (["remove", ""], "2 bundles begin with ''"),
     ],
 )
-def test_what_cannot_be_asked_is_said(arguments: list[str], reason: str) -> None:
+def test_bundle_that_cannot_be_meant_is_named(arguments: list[str], reason: str) -> None:
     result = runner.invoke(commands.app, ["bundle", *arguments])
     assert result.exit_code == 2
     assert reason in result.stderr
 
 
-def test_a_change_in_words() -> None:
+def test_bundle_change_in_words() -> None:
     event = EVENT.validate_python(
         {
             "kind": "bundle",

@@ -100,7 +100,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) -> None:
+def test_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) -> None:
     daemon.first = [
         said(MEASURING, 202),
         looked(WAITING),
@@ -118,7 +118,7 @@ def test_a_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) ->
 
 
 @pytest.mark.usefixtures("quick")
-def test_the_answer_comes_as_json(daemon: Daemon) -> None:
+def test_calibration_comes_as_json(daemon: Daemon) -> None:
     daemon.first = [said(DONE, 202), looked(DONE, SIGNED)]
     result = runner.invoke(app, ["calibrate", "--json"])
     assert json.loads(result.stdout)["signed"]["record"]["dead_rows"] == [20]
@@ -128,9 +128,7 @@ def test_the_answer_comes_as_json(daemon: Daemon) -> None:
 @pytest.mark.parametrize(
     ("run", "reason"), [(FAILED, "too little light"), ({**DONE, "stage": "cancelled"}, "cancelled")]
 )
-def test_a_calibration_that_failed_is_said(
-    daemon: Daemon, run: dict[str, Any], reason: str
-) -> None:
+def test_calibration_that_failed_is_said(daemon: Daemon, run: dict[str, Any], reason: str) -> None:
     daemon.first = [said(run, 202), looked(run)]
     result = runner.invoke(app, ["calibrate"])
     assert result.exit_code == 7
@@ -139,7 +137,7 @@ def test_a_calibration_that_failed_is_said(
 
 
 @pytest.mark.usefixtures("quick")
-def test_who_goes_away_cancels_it(daemon: Daemon) -> None:
+def test_caller_that_goes_away_cancels_its_calibration(daemon: Daemon) -> None:
     daemon.first = [said(WAITING, 202), said(DONE)]
     result = runner.invoke(app, ["calibrate"], input="")
     assert result.exit_code != 0
@@ -147,7 +145,7 @@ def test_who_goes_away_cancels_it(daemon: Daemon) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> None:
+def test_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> None:
     daemon.first = [make_problem(409, "calibration_impossible")]
     assert runner.invoke(app, ["calibrate"]).exit_code == 5
     assert len(daemon.requests) == 1
@@ -162,7 +160,7 @@ def test_a_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> Non
         (FAILED, "failed  too little light: light it"),
     ],
 )
-async def test_the_event_in_words(run: dict[str, Any], words: str) -> None:
+async def test_calibration_event_in_words(run: dict[str, Any], words: str) -> None:
     told = {"id": "a-1", "at": "2026-01-02T03:04:05Z", "kind": "calibration", "run": run}
     event = EVENT.validate_json(json.dumps(told))
     assert isinstance(event, CalibrationChanged)

@@ -184,13 +184,13 @@ def test_capture_writes_an_array(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_label_without_scores_is_shown_alone(daemon: Daemon, answers: dict[str, Any]) -> None:
+def test_label_without_scores_is_shown_alone(daemon: Daemon, answers: dict[str, Any]) -> None:
     alone = {**answers["classification"], "confidence": None, "scores": None}
     daemon.first = [httpx.Response(200, json=alone)]
     assert runner.invoke(app, ["classify"]).stdout == "7  epoch e1\n"
 
 
-def test_what_helps_is_said_where_it_is_known() -> None:
+def test_remedy_is_said_where_it_is_known() -> None:
     example = example_status()
     assert "remedy" not in status_in_words(example)
     safe = example.model_copy(update={"state": "safe", "remedy": "check_panel_wiring"})
@@ -257,18 +257,18 @@ def test_every_error_class_has_its_exit_code(
 
 
 @pytest.mark.usefixtures("url")
-def test_an_unreadable_answer_has_its_exit_code(daemon: Daemon) -> None:
+def test_unreadable_answer_has_its_exit_code(daemon: Daemon) -> None:
     daemon.first = [httpx.Response(200, text="hello")]
     assert runner.invoke(app, ["status"]).exit_code == 9
 
 
-def test_nobody_there_has_its_exit_code() -> None:
+def test_absent_daemon_has_its_exit_code() -> None:
     result = runner.invoke(app, ["status", "--url", "http://127.0.0.1:1"])
     assert result.exit_code == 3
     assert "is veilcamd running there?" in result.stderr
 
 
-def test_a_silent_daemon_has_its_exit_code() -> None:
+def test_silent_daemon_has_its_exit_code() -> None:
     import socket
 
     with socket.create_server(("127.0.0.1", 0)) as silent:

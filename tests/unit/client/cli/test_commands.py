@@ -42,11 +42,11 @@ def test_every_command_speaks_json() -> None:
     assert [name for name, options in commands.items() if "--json" not in options] == []
 
 
-def test_its_version_is_that_of_the_package() -> None:
+def test_version_is_that_of_the_package() -> None:
     assert runner.invoke(app, ["--version"]).stdout == f"veilcam {__version__}\n"
 
 
-def test_the_page_has_the_code_of_every_class_of_errors() -> None:
+def test_page_has_the_code_of_every_class_of_errors() -> None:
     rows = re.findall(r"^\| (\d+) \| `?(\w+)`?", PAGE.read_text(), re.MULTILINE)
     told = {name: int(code) for code, name in rows}
     assert {kind.__name__: code for kind, code in EXIT_CODES}.items() <= told.items()
@@ -54,7 +54,7 @@ def test_the_page_has_the_code_of_every_class_of_errors() -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_capture_becomes_a_picture(tmp_path: Path) -> None:
+def test_capture_becomes_a_picture(tmp_path: Path) -> None:
     out = tmp_path / "e.PNG"
     assert runner.invoke(app, ["capture", "--out", str(out)]).exit_code == 0
     picture = np.asarray(Image.open(out))
@@ -65,7 +65,7 @@ def test_a_capture_becomes_a_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_what_is_seen_is_drawn_when_it_is_wanted(daemon: Daemon) -> None:
+def test_watch_draws_what_is_seen_when_it_is_wanted(daemon: Daemon) -> None:
     base = {"at": "2026-01-02T03:04:05Z"}
     sent: list[dict[str, object]] = [
         {"kind": "mask", "epoch": "e1"},
@@ -86,7 +86,7 @@ def test_what_is_seen_is_drawn_when_it_is_wanted(daemon: Daemon) -> None:
     assert refused.exit_code == 2
 
 
-def test_a_drawing_has_two_values_a_character() -> None:
+def test_drawing_has_two_values_a_character() -> None:
     values = np.array([[0.0, 1.0], [2.0, 23.0], [23.0, 0.0]], np.float32)
     assert in_blocks(values) == (
         "\x1b[38;5;232;48;5;234m▀\x1b[38;5;233;48;5;255m▀\x1b[0m\n"

@@ -33,7 +33,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) -> None:
+def test_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) -> None:
     daemon.first, head = answers(Log(DEVICE)), tmp_path / "head.json"
     fetched = runner.invoke(app, ["log", str(path), "--head", str(head)])
     assert fetched.exit_code == 0
@@ -58,7 +58,7 @@ def test_a_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("url")
-def test_what_is_new_is_asked_for(daemon: Daemon, path: Path) -> None:
+def test_new_records_alone_are_asked_for(daemon: Daemon, path: Path) -> None:
     log = Log(DEVICE)
     daemon.first = answers(log)
     runner.invoke(app, ["log", str(path)])
@@ -72,7 +72,7 @@ def test_what_is_new_is_asked_for(daemon: Daemon, path: Path) -> None:
     assert len(path.read_bytes().splitlines()) == 11
 
 
-def test_what_does_not_hold_is_told_and_the_exit_code_says_so(path: Path, tmp_path: Path) -> None:
+def test_log_that_does_not_hold_has_its_exit_code(path: Path, tmp_path: Path) -> None:
     lines = Log(DEVICE).lines
     path.write_bytes(b"".join(line + b"\n" for line in [*lines[:3], *lines[4:]]))
     verified = runner.invoke(app, ["verify", str(path)])
@@ -92,7 +92,7 @@ def test_files_that_cannot_be_used_have_a_code_of_their_own(path: Path) -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_head_that_cannot_be_written_is_told(daemon: Daemon, path: Path, tmp_path: Path) -> None:
+def test_head_that_cannot_be_written_is_told(daemon: Daemon, path: Path, tmp_path: Path) -> None:
     daemon.first = answers(Log(DEVICE))
     asked = runner.invoke(app, ["log", str(path), "--head", str(tmp_path / "no" / "head")])
     assert asked.exit_code == 2

@@ -44,7 +44,7 @@ def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
 )
-def test_a_profile_counts_as_a_whole(
+def test_profile_counts_as_a_whole(
     daemon: Daemon, options: list[str], variables: dict[str, str]
 ) -> None:
     before = dict(os.environ)
@@ -54,7 +54,7 @@ def test_a_profile_counts_as_a_whole(
     assert len(daemon.requests) == 1
 
 
-def test_each_camera_is_told_its_own_token(
+def test_camera_is_told_its_own_token(
     elsewhere: Path, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[str | None] = []
@@ -76,7 +76,7 @@ def test_each_camera_is_told_its_own_token(
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_the_token_of_a_profile_goes_to_no_other_camera() -> None:
+def test_token_of_a_profile_goes_to_no_other_camera() -> None:
     result = runner.invoke(app, ["--profile", "hall", "status", "--url", "http://127.0.0.1:2"])
     assert result.exit_code == 2
     assert result.stderr == "veilcam: error: give --url or the profile 'hall', not both\n"
@@ -95,7 +95,7 @@ def test_the_token_of_a_profile_goes_to_no_other_camera() -> None:
         ("colour = 1", "colour: Extra inputs"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
+def test_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
     if text is not None:
         (folder / "config.toml").write_text(text)
     result = runner.invoke(app, ["--profile", "hall", "status"])
@@ -106,13 +106,13 @@ def test_a_file_that_cannot_be_used_is_named(folder: Path, text: str | None, mes
     assert "hidden" not in line
 
 
-def test_the_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_profiles_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.setenv("HOME", "/home/me")
     assert profiles_path() == Path("/home/me/.config/veilcam/config.toml")
 
 
-def test_the_environment_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VEILCAM_URL", "before")
     monkeypatch.delenv("VEILCAM_TOKEN", raising=False)
     with environment({"VEILCAM_URL": None, "VEILCAM_TOKEN": "within"}):

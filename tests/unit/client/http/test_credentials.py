@@ -55,7 +55,7 @@ async def test_every_request_carries_the_token(
 
 
 @pytest.mark.parametrize("url", ["http://camera.local:8787", "http://10.0.0.7:8787"])
-def test_a_token_is_not_sent_in_the_clear(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_token_is_not_sent_in_the_clear(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="in the clear: use https") as caught:
         Camera(url, token=TOKEN)
     assert TOKEN not in str(caught.value)
@@ -76,20 +76,20 @@ def test_a_token_is_not_sent_in_the_clear(url: str, monkeypatch: pytest.MonkeyPa
         "unix:///run/veilcam/api.sock",
     ],
 )
-def test_a_token_is_sent_where_nobody_listens(url: str) -> None:
+def test_token_is_sent_where_nobody_listens(url: str) -> None:
     camera = Camera(url, token=TOKEN)
     assert TOKEN not in repr(vars(camera)) + repr(camera._transport.options)
     camera.close()
 
 
 @pytest.mark.parametrize("token", ["vc 1", "vc_1\n", "vc_é"])
-def test_what_is_no_token_is_refused_and_not_repeated(token: str) -> None:
+def test_invalid_token_is_refused_and_not_repeated(token: str) -> None:
     with pytest.raises(ValueError, match="the token is not valid") as caught:
         Camera(token=token)
     assert token not in str(caught.value)
 
 
-def test_an_authority_that_cannot_be_read_is_named(
+def test_authority_that_cannot_be_read_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nothing, empty = tmp_path / "nothing.pem", tmp_path / "empty.pem"
@@ -135,7 +135,7 @@ async def test_errors_by_code(
     assert CliRunner().invoke(app, ["classify"]).exit_code == exit_code
 
 
-async def test_a_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:
+async def test_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:
     with Camera(http_client=client(daemon)) as camera:
         with camera.lease(seconds=10, owner="me") as lease:
             assert lease.held
@@ -170,7 +170,7 @@ async def test_a_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:
     assert b'"owner":"me"' in daemon.requests[0].content
 
 
-async def test_the_lease_of_another_is_ended_by_force(daemon: Daemon) -> None:
+async def test_lease_of_another_is_ended_by_force(daemon: Daemon) -> None:
     with Camera(http_client=client(daemon)) as camera:
         assert not camera.break_lease().held
         camera.release_lease()
@@ -191,16 +191,14 @@ async def test_the_lease_of_another_is_ended_by_force(daemon: Daemon) -> None:
     ],
 )
 @pytest.mark.usefixtures("url")
-def test_the_lease_from_a_terminal(
-    daemon: Daemon, options: list[str], method: str, said: str
-) -> None:
+def test_lease_from_a_terminal(daemon: Daemon, options: list[str], method: str, said: str) -> None:
     result = CliRunner().invoke(app, ["lease", *options])
     assert (result.exit_code, result.stdout.strip()) == (0, said)
     assert daemon.requests[0].method == method
     assert '"held":' in CliRunner().invoke(app, ["lease", *options, "--json"]).stdout
 
 
-def test_a_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
+def test_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
     camera = Camera(http_client=client(daemon))
     with pytest.raises(RuntimeError), camera.lease(seconds=10):
         raise RuntimeError
@@ -208,7 +206,7 @@ def test_a_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0, 3601])
-def test_a_lease_that_cannot_be_is_refused_before_it_is_asked_for(
+def test_lease_that_cannot_be_is_refused_before_it_is_asked_for(
     daemon: Daemon, seconds: float
 ) -> None:
     with pytest.raises(ValueError, match="seconds"):
@@ -243,7 +241,7 @@ def test_tokens_are_asked_for_a_page_at_a_time(daemon: Daemon) -> None:
     assert asked == [b"limit=100", b"limit=5&after=a%26b"]
 
 
-def test_an_id_stays_one_part_of_the_path(daemon: Daemon) -> None:
+def test_id_stays_one_part_of_the_path(daemon: Daemon) -> None:
     with pytest.raises(KeyError, match="tokens/"):
         Camera(http_client=client(daemon)).revoke_token("../status?x")
     assert daemon.requests[0].url.raw_path == b"/v1/tokens/..%2Fstatus%3Fx"

@@ -67,7 +67,7 @@ def test_hostile_servers_hold_nobody_up(*, long_form: bool) -> None:
 
 @pytest.mark.parametrize("kind", ["100 MB", "100 MB in chunks", "says it is compressed"])
 @pytest.mark.slow
-def test_what_no_daemon_sends_is_not_read_to_its_end(kind: str) -> None:
+def test_endless_answer_is_not_read_to_its_end(kind: str) -> None:
     server = Hostile(kind, deadline=PATIENT, pause=0.01, secure=False)
     for error in (ask(server), asyncio.run(ask_async(server))):
         assert isinstance(error, ProtocolError)
@@ -80,7 +80,7 @@ def deaf() -> Iterator[str]:
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
-def test_an_upload_that_nobody_reads_ends_too() -> None:
+def test_upload_that_nobody_reads_ends_too() -> None:
     upload = b"x" * 2**24
     with (
         deaf() as url,
@@ -90,7 +90,7 @@ def test_an_upload_that_nobody_reads_ends_too() -> None:
         camera.install_bundle(upload, timeout=0.2)
 
 
-def test_a_socket_is_closed_where_no_time_is_left_for_tls() -> None:
+def test_socket_is_closed_where_no_time_is_left_for_tls() -> None:
     with deaf() as url:
         address = url.removeprefix("http://").split(":")
         stream = _Backend().connect_tcp(address[0], int(address[1]))
@@ -100,7 +100,7 @@ def test_a_socket_is_closed_where_no_time_is_left_for_tls() -> None:
     assert bare.fileno() == -1
 
 
-def test_a_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr("veilcam_client.http.deadline.time.monotonic", lambda: now)
     limit = Limit.of(5.0, until=103.0)
@@ -113,7 +113,7 @@ def test_a_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch)
     assert Limit.of(5.0, until=1e9).left() == 5.0
 
 
-def test_a_client_that_was_handed_in_asks_between_two_pieces() -> None:
+def test_client_that_was_handed_in_asks_between_two_pieces() -> None:
     server = Hostile("dribbles a body", deadline=0.1, pause=0.01, secure=False)
     with server.serving() as url, httpx.Client() as client, pytest.raises(RequestTimeoutError):
         Camera(url, http_client=client, timeout=0.1).status()

@@ -63,7 +63,7 @@ async def collect(
 
 
 @KINDS
-async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
+async def test_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
     both.daemon.first = [
         events(event(1), event(2)),
         httpx.ConnectError("restarting"),
@@ -75,7 +75,7 @@ async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: ty
 
 
 @KINDS
-async def test_a_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
+async def test_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("gone")] * 9
     with pytest.raises(ConnectError):
         await both(kind, lambda camera: collect(camera, 1))
@@ -142,7 +142,7 @@ async def test_silence_of_a_stream_is_not_health(
 
 
 @KINDS
-async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
+async def test_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("gone"), events(event(1))]
     with pytest.raises(ConnectError, match="ended the stream"):
         await both(kind, lambda camera: collect(camera, 2, reconnect=False))
@@ -150,7 +150,7 @@ async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, 
 
 
 @KINDS
-async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, kind: type) -> None:
+async def test_events_that_a_daemon_cannot_know_of_are_a_gap(both: Both, kind: type) -> None:
     both.daemon.first = [events(": veilcam events\n\n"), events(), events(event(1)), events()]
     both.daemon.first.append(events(event(2)))
     heard = await both(kind, lambda camera: collect(camera, 4, None))
@@ -160,7 +160,7 @@ async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, ki
 
 
 @KINDS
-async def test_a_token_that_ended_ends_the_stream(
+async def test_token_that_ended_ends_the_stream(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     both.daemon.first = [events(event(1)), make_problem(401, "unauthorized")]
@@ -169,7 +169,7 @@ async def test_a_token_that_ended_ends_the_stream(
 
 
 @KINDS
-async def test_a_refused_stream_is_the_error_of_its_problem(
+async def test_refused_stream_is_the_error_of_its_problem(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     both.daemon.first = [make_problem(422, "invalid_request")]
@@ -189,7 +189,7 @@ async def test_stream_of_another_call_is_a_protocol_error(both: Both, kind: type
 
 
 @KINDS
-async def test_an_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
+async def test_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
     both.daemon.first = [events("event: mask\ndata: {}\n\n")]
     with pytest.raises(ProtocolError, match="update veilcam"):
         await both(kind, lambda camera: collect(camera, 1))
@@ -217,7 +217,7 @@ def quiet() -> Iterator[tuple[str, threading.Event]]:
         thread.join()
 
 
-def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+def test_stream_may_be_closed_by_another_thread(quiet: tuple[str, threading.Event]) -> None:
     url, listened = quiet
     with Camera(url) as camera, camera.events() as stream:
         heard: list[object] = []
@@ -230,7 +230,7 @@ def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -
         assert heard == []
 
 
-async def test_another_task_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+async def test_stream_may_be_closed_by_another_task(quiet: tuple[str, threading.Event]) -> None:
     url, listened = quiet
     async with AsyncCamera(url) as camera:
         stream = camera.events()

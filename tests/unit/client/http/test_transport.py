@@ -122,7 +122,7 @@ async def test_results_are_typed(both: Both, kind: type) -> None:
         (500, "internal_error", ServerError),
     ],
 )
-async def test_a_problem_is_the_error_of_its_status(
+async def test_problem_is_the_error_of_its_status(
     both: Both, kind: type, case: tuple[int, str, type[ApiError]], make_problem: Problem
 ) -> None:
     status, code, error = case
@@ -138,7 +138,7 @@ async def test_a_problem_is_the_error_of_its_status(
 
 
 @KINDS
-async def test_what_may_succeed_later_is_repeated_with_the_same_key(
+async def test_retryable_call_is_repeated_with_the_same_key(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     both.daemon.first = [
@@ -183,7 +183,7 @@ async def test_answer_to_another_call_is_a_protocol_error(
 
 
 @KINDS
-async def test_it_gives_up_after_the_retries_it_was_given(
+async def test_retries_end_where_they_were_told_to(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     busy = make_problem(429, "queue_full", retryable=True)
@@ -196,7 +196,7 @@ async def test_it_gives_up_after_the_retries_it_was_given(
 
 
 @KINDS
-async def test_a_wait_beyond_all_patience_is_not_waited(
+async def test_wait_beyond_all_patience_is_not_waited(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     both.daemon.first = [make_problem(503, "x", retryable=True, **{"Retry-After": "3600"})]
@@ -216,7 +216,7 @@ async def test_a_wait_beyond_all_patience_is_not_waited(
         (httpx.ReadTimeout("slow"), RequestTimeoutError),
     ],
 )
-async def test_no_answer_is_an_error_of_the_sdk(
+async def test_missing_answer_is_an_error_of_the_sdk(
     both: Both, kind: type, raised: Exception, error: type[VeilcamError]
 ) -> None:
     both.daemon.first = [raised] * 3
@@ -238,7 +238,7 @@ async def test_no_answer_is_an_error_of_the_sdk(
         (302, "", {"Location": "http://elsewhere"}),
     ],
 )
-async def test_what_is_no_veilcamd_is_a_protocol_error(
+async def test_foreign_server_is_a_protocol_error(
     both: Both, kind: type, answer: tuple[int, str, dict[str, str]]
 ) -> None:
     status, text, headers = answer
@@ -274,7 +274,7 @@ def test_bad_arguments_are_named(kind: type, options: dict[str, Any], message: s
         kind(**options)
 
 
-def test_a_client_that_was_handed_in_stays_open(daemon: Daemon) -> None:
+def test_client_that_was_handed_in_stays_open(daemon: Daemon) -> None:
     client = httpx.Client(transport=httpx.MockTransport(daemon))
     with Camera(http_client=client) as camera:
         camera.status()
@@ -294,7 +294,7 @@ def test_waits_are_fully_jittered_and_bounded() -> None:
 
 
 @KINDS
-async def test_a_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
+async def test_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("refused")] * 9
     with pytest.raises(ConnectError):
         await both(kind, lambda camera: camera.status(timeout=1e-9), max_retries=9)
@@ -307,7 +307,7 @@ async def test_a_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
 
 
 @KINDS
-async def test_a_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
+async def test_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
     for timeout, longest in ((None, 9.0), (60.0, 9.0), (4.0, 4.0), (0.5, 0.5)):
         await both(kind, lambda camera: camera.status(), read_timeout=9.0, timeout=timeout)
         asked = both.daemon.requests[-1].extensions["timeout"]
@@ -316,7 +316,7 @@ async def test_a_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) 
 
 
 @KINDS
-async def test_another_holder_is_told_of_at_once_unless_waited_for(
+async def test_lease_of_another_is_told_at_once_unless_waited_for(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
     held = make_problem(423, "leased", retryable=True, **{"Retry-After": "20"})
@@ -350,7 +350,7 @@ async def test_patience_with_another_holder_ends(
 
 
 @KINDS
-async def test_a_raw_answer_names_its_request(both: Both, kind: type) -> None:
+async def test_raw_answer_names_its_request(both: Both, kind: type) -> None:
     both.daemon.first = [
         httpx.ConnectError("refused"),
         httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
@@ -365,7 +365,7 @@ async def test_a_raw_answer_names_its_request(both: Both, kind: type) -> None:
 
 
 @KINDS
-async def test_a_base_with_its_version_is_understood(both: Both, kind: type) -> None:
+async def test_base_with_its_version_is_understood(both: Both, kind: type) -> None:
     for base in ("http://camera.local/v1", "http://camera.local/v1/", "http://camera.local/"):
         await both(kind, lambda camera: camera.status(), url=base)
     both.daemon.first = [httpx.Response(200, json=STATUS)]
@@ -377,7 +377,7 @@ async def test_a_base_with_its_version_is_understood(both: Both, kind: type) -> 
 
 
 @KINDS
-async def test_the_address_stands_in_the_environment(
+async def test_address_stands_in_the_environment(
     both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VEILCAM_URL", "http://elsewhere:7")
@@ -409,7 +409,7 @@ async def test_repetitions_are_logged_and_secrets_are_not(
 
 
 @pytest.mark.parametrize("asked", ["debug", "info", ""])
-def test_the_environment_says_what_is_logged(
+def test_environment_says_what_is_logged(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: str
 ) -> None:
     fresh = logging.Logger("veilcam")

@@ -26,7 +26,7 @@ def found(lines: list[bytes], **others: Any) -> list[str]:
     return [str(each) for each in examine(content(lines), **others).findings]
 
 
-def test_a_whole_log_holds() -> None:
+def test_whole_log_holds() -> None:
     examined = examine(content(LINES), device=DEVICE.public, head=LOG.log_head(), answer=answer(3))
     assert examined == Examination(
         device=DEVICE.public,
@@ -43,7 +43,7 @@ def test_a_whole_log_holds() -> None:
     )
 
 
-def test_where_the_camera_dropped_the_oldest_a_log_may_begin() -> None:
+def test_log_may_begin_where_the_camera_dropped_the_oldest() -> None:
     assert found(LINES[2:]) == []
     assert examine(content(LINES[2:])).first == 2
     assert found(LINES[1:]) == [
@@ -57,13 +57,13 @@ def test_where_the_camera_dropped_the_oldest_a_log_may_begin() -> None:
 
 
 @pytest.mark.parametrize("after", ["cut", "damage", "loss"])
-def test_what_the_camera_says_is_missing_is_told(after: Any) -> None:
+def test_start_after_a_loss_is_told(after: Any) -> None:
     said = examine(content(Log(DEVICE, (LogStarted(at=AT, after=after),)).lines)).said
     assert len(said) == 1
     assert said[0].startswith("record 0: the ")
 
 
-def test_an_empty_file_is_no_log() -> None:
+def test_empty_file_is_no_log() -> None:
     examined = examine(b"")
     assert [str(each) for each in examined.findings] == ["there is no record"]
     assert (examined.device, examined.first, examined.records) == (None, None, 0)
@@ -78,7 +78,7 @@ def test_an_empty_file_is_no_log() -> None:
         (lambda line: line[:-4] + b'0"}', "this is no record"),
     ],
 )
-def test_a_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong: str) -> None:
+def test_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong: str) -> None:
     lines = [*LINES[:2], change(LINES[2]), *LINES[3:]]
     [finding] = examine(content(lines)).findings
     assert finding.line == 3
@@ -86,7 +86,7 @@ def test_a_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong:
     assert finding.wrong == f"{wrong}: it was changed"
 
 
-def test_a_missing_record_is_named() -> None:
+def test_missing_record_is_named() -> None:
     assert found([*LINES[:4], *LINES[5:]]) == ["record 5, line 5: record 4 is missing before it"]
     assert found([*LINES[:4], *LINES[7:]]) == [
         "record 7, line 5: records 4 to 6 are missing before it"
@@ -105,7 +105,7 @@ def test_records_that_changed_places_are_named() -> None:
     ]
 
 
-def test_a_record_that_the_device_signed_in_another_log_is_found() -> None:
+def test_record_that_the_device_signed_in_another_log_is_found() -> None:
     other = Log(DEVICE, (*LIFE[:4], LogGap(answers=1), *LIFE[5:])).lines
     assert found([*LINES[:5], *other[5:]]) == [
         "record 5, line 6: it follows from another record 4 than the one before it"
@@ -116,7 +116,7 @@ def test_a_record_that_the_device_signed_in_another_log_is_found() -> None:
     ]
 
 
-def test_another_device_signs_nothing_here() -> None:
+def test_record_of_another_device_is_found() -> None:
     other, stranger = Device(), Log(Device())
     assert len(found(LINES, device=other.public)) == 10
     assert found(LINES, device=other.public)[0] == (
@@ -126,7 +126,7 @@ def test_another_device_signs_nothing_here() -> None:
     assert mixed[0].startswith(f"record 9, line 10: it is of device {stranger.device.public[:12]}")
 
 
-def test_a_dropped_record_counts_where_the_device_signed_it() -> None:
+def test_dropped_record_counts_where_the_device_signed_it() -> None:
     forged = LINES[8].replace(b'"before":2', b'"before":3')
     assert len(found([*LINES[3:8], forged, LINES[9]])) == 2
 
@@ -137,7 +137,7 @@ def test_half_a_last_line_is_found() -> None:
     assert examine(content(LINES)[:-1]).findings == [Finding("it is cut off", 10)]
 
 
-def test_without_a_head_the_newest_may_be_missing_and_with_it_not() -> None:
+def test_newest_record_may_be_missing_without_a_head_alone() -> None:
     assert found(LINES[:-1]) == []
     head = LOG.log_head()
     assert found(LINES[:-1], head=head) == ["head: record 9 is missing at the end of the file"]
@@ -145,7 +145,7 @@ def test_without_a_head_the_newest_may_be_missing_and_with_it_not() -> None:
     assert wrong == "head: records 7 to 9 are missing at the end of the file"
 
 
-def test_an_earlier_head_holds_as_long_as_its_record_is_there() -> None:
+def test_earlier_head_holds_as_long_as_its_record_is_there() -> None:
     earlier = Log(DEVICE, LIFE[:2]).log_head()
     assert found(LINES, head=earlier) == []
     examined = examine(content(LINES[2:]), head=earlier)
@@ -153,7 +153,7 @@ def test_an_earlier_head_holds_as_long_as_its_record_is_there() -> None:
     assert examined.said[-1] == "head: it is of record 1, before the first of the file"
 
 
-def test_a_head_of_another_log_is_found() -> None:
+def test_head_of_another_log_is_found() -> None:
     forked = Log(DEVICE, (*LIFE[:-1], LogStopped(at=AT)))
     [wrong] = found(LINES, head=forked.log_head())
     assert wrong.startswith("head: it names another record 9: the log was changed, or the camera's")
@@ -164,12 +164,12 @@ def test_a_head_of_another_log_is_found() -> None:
     assert found([], head=LOG.log_head())[0] == "there is no record"
 
 
-def test_what_a_head_says_is_told() -> None:
+def test_missing_answers_of_a_head_are_told() -> None:
     said = examine(content(LINES), head=LOG.log_head(missed=3)).said
     assert said[-1] == "head: 3 answers more have no record"
 
 
-def test_an_answer_is_found_or_not() -> None:
+def test_answer_is_found_or_not() -> None:
     assert examine(content(LINES), answer=answer(4)).answer == 9
     assert found(LINES, answer=answer(5)) == ["answer: no record is of it"]
     other = answer(4).model_copy(update={"label": "7"})
