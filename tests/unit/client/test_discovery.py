@@ -73,12 +73,6 @@ def test_name_says_nothing_to_a_terminal() -> None:
     assert found == FoundCamera("Hall2J", "https://hall.local:8787")
 
 
-@pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
-def test_discovery_time_that_is_none_is_refused(seconds: float) -> None:
-    with pytest.raises(ValueError, match="seconds"):
-        discover(seconds)
-
-
 def test_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)
     with pytest.raises(DiscoveryError, match="discover"):

@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 

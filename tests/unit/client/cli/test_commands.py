@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import httpx
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.client.conftest import Daemon, events
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -20,9 +18,6 @@ from veilcam_client import __version__
 from veilcam_client.cli.main import app
 from veilcam_client.cli.picture import in_blocks
 from veilcam_client.cli.terminal import EXIT_CODES, FORGED, USAGE
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 PAGE = Path(__file__).resolve().parents[4] / "docs" / "cli.md"
@@ -66,20 +61,12 @@ def test_capture_becomes_a_picture(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("url")
 def test_watch_draws_what_is_seen_when_it_is_wanted(daemon: Daemon) -> None:
-    base = {"at": "2026-01-02T03:04:05Z"}
-    sent: list[dict[str, object]] = [
-        {"kind": "mask", "epoch": "e1"},
-        {"kind": "seen", "label": "7", "duration_s": 1.0},
-    ]
-    text = "".join(
-        f"event: {each['kind']}\ndata: {json.dumps({**base, 'id': f'b-{n}', **each})}\n\n"
-        for n, each in enumerate(sent)
-    )
-    daemon.first = [httpx.Response(200, text=text)]
+    seen = {"kind": "seen", "label": "7", "duration_s": 1.0}
+    daemon.first = [events({"kind": "mask", "epoch": "e1"}, seen)]
     shown = runner.invoke(app, ["watch", "--count", "2", "--picture"], color=True).stdout
-    mask, seen, drawn = shown.splitlines()
+    mask, label, drawn = shown.splitlines()
     assert "e1" in mask
-    assert "7" in seen
+    assert "7" in label
     assert drawn.count("▀") == 3
     assert [request.url.path for request in daemon.requests] == ["/v1/events", "/v1/captures"]
     refused = runner.invoke(app, ["watch", "--picture", "--json"])

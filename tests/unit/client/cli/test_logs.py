@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import httpx
 import pytest
+from tests.unit.client.conftest import Daemon
 from tests.unit.client.logs import Log, answer, capture
 from tests.unit.client.sealing import Device
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
 from veilcam_client.wire.log import LogHead, LogRecords
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 DEVICE = Device()

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
 from veilcam_client.cli.profiles import environment, profiles_path
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import httpx
 import numpy as np
 import pytest
+from tests.unit.client.conftest import Daemon
 from tests.unit.client.sealing import VALUES, Device, Epoch
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
 from veilcam_client.keys.receivers import Receiver, ReceiverKey
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 

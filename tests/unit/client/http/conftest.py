@@ -5,15 +5,13 @@ from __future__ import annotations
 import inspect
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
+from tests.unit.client.conftest import Daemon
 
 from veilcam_client import Camera
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 
 class Both:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 from pydantic import ValidationError
+from tests.unit.client.conftest import CAPTURE, CLASSIFICATION, STATUS
 from tests.unit.client.sealing import Device, Epoch
 
 from veilcam_client import ProtocolError, SealedError, VeilcamError
@@ -25,8 +26,8 @@ VALUES = np.random.default_rng(0).normal(size=(3, 4, 5)).astype(np.float32)
 
 
 @pytest.fixture
-def capture(answers: dict[str, Any]) -> Capture:
-    return Capture.model_validate_json(json.dumps(answers["capture"]))
+def capture() -> Capture:
+    return Capture.model_validate_json(json.dumps(CAPTURE))
 
 
 def test_embedding_is_an_array(capture: Capture) -> None:
@@ -76,8 +77,8 @@ def test_embeddings_are_equal_where_all_of_them_is() -> None:
         assert embedding != other
 
 
-def test_answer_without_an_array_says_so(answers: dict[str, Any]) -> None:
-    classification = Classification.model_validate_json(json.dumps(answers["classification"]))
+def test_answer_without_an_array_says_so() -> None:
+    classification = Classification.model_validate_json(json.dumps(CLASSIFICATION))
     with pytest.raises(VeilcamError, match="ask with include_embedding=True") as caught:
         np.asarray(classification)
     assert caught.value.code == "no_embedding"
@@ -86,7 +87,7 @@ def test_answer_without_an_array_says_so(answers: dict[str, Any]) -> None:
     )
     assert np.array_equal(np.asarray(with_it), VALUES)
     with pytest.raises(TypeError, match="a Status is no array"):
-        np.asarray(Status.model_validate_json(json.dumps(answers["status"])))
+        np.asarray(Status.model_validate_json(json.dumps(STATUS)))
     sealed = Epoch(Device(), ReceiverKey.generate()).capture(0)
     for answer in (sealed, sealed.embedding, with_it.model_copy(update=dict(sealed))):
         with pytest.raises(SealedError, match="private key of a receiver"):
