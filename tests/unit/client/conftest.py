@@ -6,6 +6,7 @@ import inspect
 import json
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -164,15 +165,32 @@ def daemon() -> Daemon:
     return Daemon()
 
 
+class Handler(BaseHTTPRequestHandler):
+    """Base of servers that log nothing."""
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def serving(handler: type[Handler]) -> Iterator[str]:
+    """Serve in threads, and yield the URL."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
 @pytest.fixture
 def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    class Handler(BaseHTTPRequestHandler):
+    class Asked(Handler):
         def handle_one(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
-            request = httpx.Request(
-                self.command, f"http://x{self.path}", content=self.rfile.read(length)
-            )
-            answer = daemon(request)
+            content = self.rfile.read(length)
+            answer = daemon(httpx.Request(self.command, f"http://x{self.path}", content=content))
             self.send_response(answer.status_code)
             for name, value in answer.headers.items():
                 self.send_header(name, value)
@@ -181,15 +199,6 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
         do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
 
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    address = f"http://127.0.0.1:{server.server_port}"
-    monkeypatch.setenv("VEILCAM_URL", address)
-    yield address
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with serving(Asked) as address:
+        monkeypatch.setenv("VEILCAM_URL", address)
+        yield address

@@ -196,7 +196,8 @@ def test_sealed_embedding_says_what_opens_it() -> None:
     sealed = Epoch(Device(), ReceiverKey.generate()).capture(0).embedding
     uses: tuple[Callable[[Any], Any], ...] = (len, list, np.asarray)
     by_index: tuple[Callable[[Any], Any], ...] = (lambda each: each[0], lambda each: each[0, 1])
-    for use in (*uses, *by_index, lambda each: 1 in each):
+    inside: Callable[[Any], Any] = lambda each: 1 in each  # noqa: E731
+    for use in (*uses, *by_index, inside):
         with pytest.raises(SealedError, match=r"Camera\(key=\.\.\.\)"):
             use(sealed)
     assert sealed

@@ -23,7 +23,6 @@ runner = CliRunner()
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--broker", "nonsense"], "use mqtt://HOST"),
         (["--broker", "mqtt://broker.example"], "--allow-plain"),
         (["--username", "me", "--password-file", "{tmp}/none"], "cannot be read"),
         (["--username", "me", "--password-file", "{tmp}/two"], "must hold one line"),
@@ -33,12 +32,10 @@ runner = CliRunner()
         (["--webhook", "https://a", "--webhook-secret-file", "{tmp}/one"], "whsec_"),
         (["--name", "a/b"], "no level of a topic"),
         (["--base", "#"], "no level of a topic"),
-        (["--discovery", ""], "no level of a topic"),
         (["--url", "nonsense"], "http://HOST:PORT"),
         (["--url", "http://192.0.2.1", "--token-file", "{tmp}/one"], "use https://"),
         (["--log-level", "loud"], "one of debug"),
         (["--broker", "mqtts://a", "--ca-file", "{tmp}/one"], "cannot be used"),
-        (["--broker", "mqtts://a", "--certificate", "{tmp}/one"], "give both"),
         (["--broker", "mqtts://a", "--certificate", "{tmp}/one", "--key", "{tmp}/one"], "cannot"),
     ],
 )

@@ -85,16 +85,12 @@ def test_age_of_the_mask_grows_in_steps() -> None:
     assert told(none)["mask_age"] == "None"
 
 
-def test_camera_that_does_not_answer_is_offline() -> None:
+def test_description_comes_first_and_the_cameras_absence_last() -> None:
     view = View.of(STATUS, LOOKING, 0.0)
+    first, *_, last = view.messages(NAMES, 0.0)
+    assert (first, last) == ("homeassistant/device/camera/config", "veilcam/camera/camera")
     assert told(view)["camera"] == "online"
     assert told(View(STATUS, online=False))["camera"] == "offline"
-
-
-def test_device_is_described_before_its_states() -> None:
-    first, *rest = View.of(STATUS, LOOKING, 0.0).messages(NAMES, 0.0)
-    assert first == "homeassistant/device/camera/config"
-    assert rest[-1] == "veilcam/camera/camera"
 
 
 @pytest.mark.parametrize(

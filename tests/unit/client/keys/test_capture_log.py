@@ -128,7 +128,7 @@ def test_every_bit_of_a_record_counts(entry: Entry, *, long_form: bool) -> None:
             continue
 
 
-def test_every_field_of_a_head_is_signed() -> None:
+def test_every_field_of_a_head_is_signed_and_no_record_passes_for_one() -> None:
     device = Device()
     head = sign_head(device, position=5, record="4d" * 32, oldest=1, missed=2, at=AT)
     assert is_genuine(head)
@@ -142,15 +142,13 @@ def test_every_field_of_a_head_is_signed() -> None:
         {"signature": "0" * 128},
     ):
         assert not is_genuine(head.model_copy(update=change)), change
-
-
-def test_record_passes_for_no_head_and_none_for_another_devices() -> None:
-    device = Device()
-    head = sign_head(device, position=5, record="4d" * 32, oldest=1, missed=0, at=AT)
     made = record(device)
-    assert not is_genuine(made.model_copy(update={"signature": head.signature}))
-    assert not is_genuine(made.model_copy(update={"device": Device().public}))
-    assert not is_genuine(made.model_copy(update={"device": "ff" * 32}))  # no point of the curve
+    for change in (
+        {"signature": head.signature},
+        {"device": Device().public},
+        {"device": "ff" * 32},  # no point of the curve
+    ):
+        assert not is_genuine(made.model_copy(update=change)), change
 
 
 @pytest.mark.parametrize(
@@ -161,12 +159,9 @@ def test_record_passes_for_no_head_and_none_for_another_devices() -> None:
         AT.astimezone(timezone(timedelta(hours=1))),
     ],
 )
-def test_times_are_whole_seconds_of_utc(at: datetime) -> None:
+def test_times_of_records_are_whole_seconds_of_utc_and_ages_steps(at: datetime) -> None:
     with pytest.raises(ValidationError, match="whole second of UTC"):
         LogStopped(at=at)
-
-
-def test_age_of_a_test_comes_in_steps() -> None:
     with pytest.raises(ValidationError):
         LoggedCapture(**{**dict(CAPTURE), "tested_s": 119})
 
@@ -195,6 +190,8 @@ def test_answer_is_known_again_and_every_part_of_it_counts() -> None:
         )
     ]
     assert len({digest, *map(answer_digest, changed)}) == 12
+    told = {"id": ID, "epoch": "9f" * 16, "number": 3, "taken_at": AT, "embedding": embedding}
+    assert answer_digest(Capture(**told)) != answer_digest(classification(embedding=embedding))
 
 
 def test_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
@@ -205,9 +202,6 @@ def test_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
     assert 4 * (ID_DIGITS - 16) == 128  # beyond what events tell of an id
     with pytest.raises(ValueError, match="hides nothing"):
         answer_digest(classification(id=ID[:16]))
-
-
-def test_opened_answer_is_not_what_left() -> None:
     with pytest.raises(ValueError, match="was opened"):
         answer_digest(classification(notes=NOTES))
 
@@ -236,14 +230,3 @@ def test_logged_mask_is_found_with_the_epochs_key_alone() -> None:
     assert logged_mask(entry, key, masks) == 1
     assert logged_mask(entry, key, masks[:1]) is None
     assert logged_mask(entry, other, masks) is None
-
-
-def test_mask_that_comes_again_cannot_be_told_from_another() -> None:
-    keys = [EpochKey.generate(device="d7" * 32, bundle=BUNDLE) for _ in range(20)]
-    assert len({mask_commitment(key, LEVELS) for key in keys}) == 20
-
-
-def test_answers_of_both_kinds_are_bound() -> None:
-    embedding = Embedding.from_array(np.zeros((2, 3), np.float32), form="white")
-    capture = Capture(id=ID, epoch="9f" * 16, number=3, taken_at=AT, embedding=embedding)
-    assert answer_digest(capture) != answer_digest(classification(embedding=embedding))

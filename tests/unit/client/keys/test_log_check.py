@@ -43,19 +43,6 @@ def test_whole_log_holds() -> None:
     )
 
 
-def test_log_may_begin_where_the_camera_dropped_the_oldest() -> None:
-    assert found(LINES[2:]) == []
-    assert examine(content(LINES[2:])).first == 2
-    assert found(LINES[1:]) == [
-        "record 1, line 1: record 0 is missing before it, and no record says that the camera "
-        "dropped them"
-    ]
-    assert found(LINES[3:]) == [
-        "record 3, line 1: records 0 to 2 are missing before it, and no record says that the "
-        "camera dropped them"
-    ]
-
-
 @pytest.mark.parametrize("after", ["cut", "damage", "loss"])
 def test_start_after_a_loss_is_told(after: Any) -> None:
     said = examine(content(Log(DEVICE, (LogStarted(at=AT, after=after),)).lines)).said
@@ -86,71 +73,84 @@ def test_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong: s
     assert finding.wrong == f"{wrong}: it was changed"
 
 
-def test_missing_record_is_named() -> None:
-    assert found([*LINES[:4], *LINES[5:]]) == ["record 5, line 5: record 4 is missing before it"]
-    assert found([*LINES[:4], *LINES[7:]]) == [
-        "record 7, line 5: records 4 to 6 are missing before it"
-    ]
+DROPPED = "missing before it, and no record says that the camera dropped them"
+OTHER = Log(DEVICE, (*LIFE[:4], LogGap(answers=1), *LIFE[5:])).lines
+FORGED = LINES[8].replace(b'"before":2', b'"before":3')
 
 
-def test_records_that_changed_places_are_named() -> None:
-    swapped = [*LINES[:3], LINES[4], LINES[3], *LINES[5:]]
-    assert found(swapped) == [
-        "record 4, line 4: record 3 is missing before it",
-        "record 3, line 5: it stands behind record 4",
-        "record 5, line 6: record 4 is missing before it",
-    ]
-    assert found([*LINES[:4], LINES[3], *LINES[4:]]) == [
-        "record 3, line 5: it stands behind record 3"
-    ]
-
-
-def test_record_that_the_device_signed_in_another_log_is_found() -> None:
-    other = Log(DEVICE, (*LIFE[:4], LogGap(answers=1), *LIFE[5:])).lines
-    assert found([*LINES[:5], *other[5:]]) == [
-        "record 5, line 6: it follows from another record 4 than the one before it"
-    ]
-    record = sign_record(DEVICE, 0, "ab" * 32, LogDropped(before=0))
-    assert found([line_of(record)]) == [
-        "record 0, line 1: it names one before, and there is none before position 0"
-    ]
+@pytest.mark.parametrize(
+    ("lines", "findings"),
+    [
+        (LINES[2:], []),
+        (LINES[1:], [f"record 1, line 1: record 0 is {DROPPED}"]),
+        (LINES[3:], [f"record 3, line 1: records 0 to 2 are {DROPPED}"]),
+        (LINES[:-1], []),
+        ([*LINES[:4], *LINES[5:]], ["record 5, line 5: record 4 is missing before it"]),
+        ([*LINES[:4], *LINES[7:]], ["record 7, line 5: records 4 to 6 are missing before it"]),
+        (
+            [*LINES[:3], LINES[4], LINES[3], *LINES[5:]],
+            [
+                "record 4, line 4: record 3 is missing before it",
+                "record 3, line 5: it stands behind record 4",
+                "record 5, line 6: record 4 is missing before it",
+            ],
+        ),
+        ([*LINES[:4], *LINES[3:]], ["record 3, line 5: it stands behind record 3"]),
+        (
+            [*LINES[:5], *OTHER[5:]],
+            ["record 5, line 6: it follows from another record 4 than the one before it"],
+        ),
+        (
+            [line_of(sign_record(DEVICE, 0, "ab" * 32, LogDropped(before=0)))],
+            ["record 0, line 1: it names one before, and there is none before position 0"],
+        ),
+        (
+            # Only what the device signed says that it dropped records.
+            [*LINES[3:8], FORGED, LINES[9]],
+            [
+                f"record 3, line 1: records 0 to 2 are {DROPPED}",
+                "record 8, line 6: the device did not sign this: it was changed",
+            ],
+        ),
+    ],
+)
+def test_record_that_is_missing_misplaced_or_foreign_is_named(
+    lines: list[bytes], findings: list[str]
+) -> None:
+    assert found(lines) == findings
 
 
 def test_record_of_another_device_is_found() -> None:
     other, stranger = Device(), Log(Device())
-    assert len(found(LINES, device=other.public)) == 10
-    assert found(LINES, device=other.public)[0] == (
+    told = found(LINES, device=other.public)
+    assert len(told) == 10
+    assert told[0] == (
         f"record 0, line 1: it is of device {DEVICE.public[:12]}, not {other.public[:12]}"
     )
     mixed = found([*LINES[:9], stranger.lines[9]])
     assert mixed[0].startswith(f"record 9, line 10: it is of device {stranger.device.public[:12]}")
 
 
-def test_dropped_record_counts_where_the_device_signed_it() -> None:
-    forged = LINES[8].replace(b'"before":2', b'"before":3')
-    assert len(found([*LINES[3:8], forged, LINES[9]])) == 2
-
-
-def test_half_a_last_line_is_found() -> None:
-    examined = examine(content(LINES)[:-5])
-    assert examined.findings == [Finding("it is cut off", 10)]
-    assert examine(content(LINES)[:-1]).findings == [Finding("it is cut off", 10)]
+@pytest.mark.parametrize("cut", [1, 5])
+def test_half_a_last_line_is_found(cut: int) -> None:
+    assert examine(content(LINES)[:-cut]).findings == [Finding("it is cut off", 10)]
 
 
 def test_newest_record_may_be_missing_without_a_head_alone() -> None:
-    assert found(LINES[:-1]) == []
     head = LOG.log_head()
     assert found(LINES[:-1], head=head) == ["head: record 9 is missing at the end of the file"]
-    [wrong] = found(LINES[:7], head=head)
-    assert wrong == "head: records 7 to 9 are missing at the end of the file"
+    told = ["head: records 7 to 9 are missing at the end of the file"]
+    assert found(LINES[:7], head=head) == told
 
 
 def test_earlier_head_holds_as_long_as_its_record_is_there() -> None:
     earlier = Log(DEVICE, LIFE[:2]).log_head()
     assert found(LINES, head=earlier) == []
-    examined = examine(content(LINES[2:]), head=earlier)
-    assert examined.findings == []
-    assert examined.said[-1] == "head: it is of record 1, before the first of the file"
+    assert found(LINES[2:], head=earlier) == []
+    said = examine(content(LINES[2:]), head=earlier).said
+    assert said[-1] == "head: it is of record 1, before the first of the file"
+    told = examine(content(LINES), head=LOG.log_head(missed=3)).said
+    assert told[-1] == "head: 3 answers more have no record"
 
 
 def test_head_of_another_log_is_found() -> None:
@@ -162,11 +162,6 @@ def test_head_of_another_log_is_found() -> None:
     forged = LOG.log_head().model_copy(update={"oldest": 1})
     assert found(LINES, head=forged) == ["head: the device did not sign this: it was changed"]
     assert found([], head=LOG.log_head())[0] == "there is no record"
-
-
-def test_missing_answers_of_a_head_are_told() -> None:
-    said = examine(content(LINES), head=LOG.log_head(missed=3)).said
-    assert said[-1] == "head: 3 answers more have no record"
 
 
 def test_answer_is_found_or_not() -> None:
