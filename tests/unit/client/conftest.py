@@ -82,6 +82,7 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("GET", "/v1/tokens"): {"tokens": [TOKEN], "next": None},
     ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
     ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": AT},
+    ("GET", "/v1/log"): {"records": [], "next": None},
     ("GET", "/v1/receivers"): RECEIVERS,
     ("POST", "/v1/receivers"): RECEIVER,
     ("GET", "/v1/status"): STATUS,

@@ -61,6 +61,10 @@ def path(tmp_path: Path) -> Path:
 def test_measurement_is_kept_with_its_label_and_epoch(path: Path) -> None:
     assert collect(daemon().camera(), path, SHOTS) == 6
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    first, second, *_ = map(json.loads, path.read_text().splitlines())
+    assert first["format"] == "veilcam-measurements"
+    fields = {"picture", "label", "epoch", "number", "taken_at", "values", "mask_key"}
+    assert set(second) == fields
     header, found = lines(path)
     assert (header.bundle, header.labels, header.shape) == ("0f" * 32, ("0", "1"), (2, 3))
     for number, (shot, measured) in enumerate(zip(SHOTS, found, strict=True)):
@@ -206,21 +210,17 @@ def test_scene_that_another_caller_held_up_is_not_labelled(path: Path) -> None:
         collect(made.camera(), path, SHOTS[1:], key=receiver, show=shows(4))
 
 
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
+def test_file_of_something_else_is_left_alone(path: Path) -> None:
+    collect(daemon().camera(), path, [])
+    header = path.read_bytes()
+    for content, why in (
         (b"no\n", "is no file of measurements"),
-        (None, "line 2: this is no measurement"),
-    ],
-)
-def test_file_of_something_else_is_left_alone(path: Path, content: bytes | None, why: str) -> None:
-    if content is None:
-        collect(daemon().camera(), path, [])
-        content = path.read_bytes() + b'{"label": "0"}\n'
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match=why):
-        collect(daemon().camera(), path, SHOTS)
-    assert path.read_bytes() == content
+        (header + b'{"label": "0"}\n', "line 2: this is no measurement"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(RecordingError, match=why):
+            collect(daemon().camera(), path, SHOTS)
+        assert path.read_bytes() == content
 
 
 def test_two_collections_do_not_write_one_file(path: Path, tmp_path: Path) -> None:
@@ -268,12 +268,3 @@ def test_picture_is_held_up_while_it_is_measured_alone(tmp_path: Path) -> None:
         pass
     with pytest.raises(ValueError, match="use unaided"), show(Shot("a")):
         pass
-
-
-def test_measurements_file_is_lines_of_json(path: Path) -> None:
-    collect(daemon().camera(), path, SHOTS[:1])
-    first, second = map(json.loads, path.read_text().splitlines())
-    assert first["format"] == "veilcam-measurements"
-    assert set(second) == {
-        *("picture", "label", "epoch", "number", "taken_at", "values", "mask_key")
-    }

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 import pytest
 import zeroconf
@@ -24,28 +23,16 @@ def info(
     port: int = 8787,
     told: Mapping[str, str] | None = None,
 ) -> zeroconf.ServiceInfo:
-    properties = {"api": "v1", "scheme": "https"} if told is None else dict(told)
-    return zeroconf.ServiceInfo(
-        TYPE,
-        f"{name}.{TYPE}",
-        port,
-        properties=properties,
-        server=server,
-        addresses=[b"\x7f\0\0\1"],
-    )
-
-
-@contextmanager
-def announced(*infos: zeroconf.ServiceInfo) -> Iterator[None]:
-    with zeroconf.Zeroconf(HERE, ip_version=zeroconf.IPVersion.V4Only) as network:
-        for each in infos:
-            network.register_service(each)
-        yield
+    told = {"api": "v1", "scheme": "https"} if told is None else told
+    here = {"server": server, "addresses": [b"\x7f\0\0\1"], "properties": dict(told)}
+    return zeroconf.ServiceInfo(TYPE, f"{name}.{TYPE}", port, **here)
 
 
 @pytest.mark.slow
 def test_camera_that_announces_itself_is_found() -> None:
-    with announced(info("Hall"), info("Door", "door.local.", 9000)):
+    with zeroconf.Zeroconf(HERE, ip_version=zeroconf.IPVersion.V4Only) as network:
+        for each in (info("Hall"), info("Door", "door.local.", 9000)):
+            network.register_service(each)
         found = discover(1.5, HERE)
     assert found == (
         FoundCamera("Door", "https://door.local:9000"),
@@ -82,20 +69,13 @@ def test_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> 
     assert "pip install -e '.[discover]'" in result.stderr
 
 
-@pytest.mark.parametrize(
-    ("found", "words", "lines"),
-    [
+def test_discover_command_prints_a_line_for_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    hall = FoundCamera("Hall", "https://hall.local:8787")
+    as_json = '{"name": "Hall", "url": "https://hall.local:8787"}\n'
+    for found, words, lines in (
         ((), "no camera announces itself here\n", ""),
-        (
-            (FoundCamera("Hall", "https://hall.local:8787"),),
-            "https://hall.local:8787  Hall\n",
-            '{"name": "Hall", "url": "https://hall.local:8787"}\n',
-        ),
-    ],
-)
-def test_discover_command_prints_a_line_for_each(
-    found: tuple[FoundCamera, ...], words: str, lines: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("veilcam_client.camera.discover", lambda seconds: found)
-    assert runner.invoke(app, ["discover"]).stdout == words
-    assert runner.invoke(app, ["discover", "--json"]).stdout == lines
+        ((hall,), "https://hall.local:8787  Hall\n", as_json),
+    ):
+        monkeypatch.setattr("veilcam_client.camera.discover", lambda _, found=found: found)
+        assert runner.invoke(app, ["discover"]).stdout == words
+        assert runner.invoke(app, ["discover", "--json"]).stdout == lines

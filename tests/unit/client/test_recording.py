@@ -101,19 +101,6 @@ def test_recording_overwrites_nothing_and_records_no_replay(path: Path, tmp_path
     assert not (tmp_path / "other").exists()
 
 
-def changed(**fields: Any) -> Callable[[list[Line]], None]:
-    """Of the second capture."""
-
-    def change(lines: list[Line]) -> None:
-        lines[2]["capture"].update(fields)
-
-    return change
-
-
-def strange_label(lines: list[Line]) -> None:
-    lines[2]["verdict"] = {**VERDICT, "label": "cat"}
-
-
 def other_version(lines: list[Line]) -> None:
     lines[0]["version"] = 2
 
@@ -122,30 +109,34 @@ def no_captures(lines: list[Line]) -> None:
     del lines[1:]
 
 
+SMALL = {"form": "white", "shape": [1, 1], "values": [1.0]}
+RAW = {**answer(1)["embedding"], "form": "raw"}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (changed(epoch=7), "line 3: this is no capture"),
-        (changed(replay={"capture": "1", "place": 0}), "line 3: this was itself replayed"),
+        ({"epoch": 7}, "line 3: this is no capture"),
+        ({"replay": {"capture": "1", "place": 0}}, "line 3: this was itself replayed"),
+        ({"embedding": SMALL}, "line 3: this is of another camera"),
+        ({"embedding": RAW}, "line 3: this is raw, and the others are white"),
         (
-            changed(embedding={"form": "white", "shape": [1, 1], "values": [1.0]}),
-            "line 3: this is of another camera",
+            lambda lines: lines[2].update(verdict={**VERDICT, "label": "cat"}),
+            "line 3: this label is not one of the camera's",
         ),
-        (
-            changed(embedding={**answer(1)["embedding"], "form": "raw"}),
-            "line 3: this is raw, and the others are white",
-        ),
-        (strange_label, "line 3: this label is not one of the camera's"),
         (other_version, "is no recording of this version"),
         (no_captures, "holds no captures"),
     ],
 )
 def test_damaged_recording_is_refused(
-    path: Path, change: Callable[[list[Line]], None], message: str
+    path: Path, change: Line | Callable[[list[Line]], None], message: str
 ) -> None:
     record(Daemon().camera(), path, count=3)
     lines = [json.loads(line) for line in path.read_text().splitlines()]
-    change(lines)
+    if callable(change):
+        change(lines)
+    else:
+        lines[2]["capture"].update(change)
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(RecordingError, match=message):
         read_recording(path)

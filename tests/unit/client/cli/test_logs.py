@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 from tests.unit.client.conftest import Daemon
-from tests.unit.client.logs import Log, answer, capture
+from tests.unit.client.logs import Log, answer
 from tests.unit.client.sealing import Device
 from typer.testing import CliRunner
 
@@ -54,22 +54,8 @@ def test_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) ->
     assert unnamed.stdout.splitlines()[-1].endswith("give --device to know that it is yours")
 
 
-@pytest.mark.usefixtures("url")
-def test_new_records_alone_are_asked_for(daemon: Daemon, path: Path) -> None:
-    log = Log(DEVICE)
-    daemon.first = answers(log)
-    runner.invoke(app, ["log", str(path)])
-    log.append(capture(9))
-    daemon.first = [
-        httpx.Response(200, content=LogRecords(records=(log.records[-1],)).model_dump_json()),
-        *answers(log)[1:],
-    ]
-    assert runner.invoke(app, ["log", str(path)]).exit_code == 0
-    assert daemon.requests[2].url.query == b"limit=1000&after=9"
-    assert len(path.read_bytes().splitlines()) == 11
-
-
-def test_log_that_does_not_hold_has_its_exit_code(path: Path, tmp_path: Path) -> None:
+def test_log_that_does_not_hold_has_its_exit_code(path: Path) -> None:
+    assert runner.invoke(app, ["verify", str(path)]).exit_code == 16
     lines = Log(DEVICE).lines
     path.write_bytes(b"".join(line + b"\n" for line in [*lines[:3], *lines[4:]]))
     verified = runner.invoke(app, ["verify", str(path)])
@@ -80,12 +66,6 @@ def test_log_that_does_not_hold_has_its_exit_code(path: Path, tmp_path: Path) ->
     empty = runner.invoke(app, ["verify", str(path)])
     assert (empty.exit_code, "there is no record" in empty.stdout) == (17, True)
     assert "device" not in empty.stdout
-
-
-def test_files_that_cannot_be_used_have_a_code_of_their_own(path: Path) -> None:
-    verified = runner.invoke(app, ["verify", str(path)])
-    assert verified.exit_code == 16
-    assert "cannot be read" in verified.stderr
 
 
 @pytest.mark.usefixtures("url")

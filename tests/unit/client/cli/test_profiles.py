@@ -10,7 +10,7 @@ from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-from veilcam_client.cli.profiles import environment, profiles_path
+from veilcam_client.cli.profiles import profiles_path
 
 runner = CliRunner()
 
@@ -42,8 +42,12 @@ def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
 )
 def test_profile_counts_as_a_whole(
-    daemon: Daemon, options: list[str], variables: dict[str, str]
+    daemon: Daemon,
+    options: list[str],
+    variables: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delenv("VEILCAM_TOKEN")
     before = dict(os.environ)
     result = runner.invoke(app, [*options, "status"], env=variables)
     assert result.exit_code == 0, result.output
@@ -107,13 +111,3 @@ def test_profiles_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.setenv("HOME", "/home/me")
     assert profiles_path() == Path("/home/me/.config/veilcam/config.toml")
-
-
-def test_environment_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("VEILCAM_URL", "before")
-    monkeypatch.delenv("VEILCAM_TOKEN", raising=False)
-    with environment({"VEILCAM_URL": None, "VEILCAM_TOKEN": "within"}):
-        assert "VEILCAM_URL" not in os.environ
-        assert os.environ["VEILCAM_TOKEN"] == "within"
-    assert os.environ["VEILCAM_URL"] == "before"
-    assert "VEILCAM_TOKEN" not in os.environ

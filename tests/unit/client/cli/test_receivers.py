@@ -93,13 +93,6 @@ def test_private_key_is_never_sent_or_repeated(
 
 
 @pytest.mark.usefixtures("url")
-def test_label_that_is_none_is_refused(receiver: ReceiverKey) -> None:
-    result = runner.invoke(app, ["receiver", "add", str(receiver.public), "--label", ""])
-    assert result.exit_code == 2
-    assert "--label: String should have at least 1 character" in result.stderr
-
-
-@pytest.mark.usefixtures("url")
 def test_key_opens_what_is_captured(daemon: Daemon, receiver: ReceiverKey, tmp_path: Path) -> None:
     device, out, key = Device(), tmp_path / "e.npy", tmp_path / "key"
     receiver.write(key)

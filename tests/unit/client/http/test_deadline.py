@@ -13,6 +13,7 @@ import httpcore
 import httpx
 import pytest
 from benchmarks.client.hostile import KINDS, Hostile, draw
+from tests.unit.client.conftest import result
 
 from veilcam_client import (
     AsyncCamera,
@@ -31,23 +32,18 @@ PATIENT = 60.0
 """Of a client that would wait long for one more byte [s]."""
 
 
-def ask(server: Hostile) -> VeilcamError:
+def ask(server: Hostile, kind: type = Camera) -> VeilcamError:
     """Ask a server that ends only after the call: that it returns at all is the deadline's work."""
-    with (
-        server.serving() as url,
-        Camera(url, timeout=server.deadline, read_timeout=PATIENT) as camera,
-        pytest.raises(VeilcamError) as caught,
-    ):
-        camera.status()
-    return caught.value
 
+    async def status(url: str) -> VeilcamError:
+        camera = kind(url, timeout=server.deadline, read_timeout=PATIENT)
+        with pytest.raises(VeilcamError) as caught:
+            await result(camera.status())
+        await result(camera.close())
+        return caught.value
 
-async def ask_async(server: Hostile) -> VeilcamError:
     with server.serving() as url:
-        async with AsyncCamera(url, timeout=server.deadline, read_timeout=PATIENT) as camera:
-            with pytest.raises(VeilcamError) as caught:
-                await camera.status()
-    return caught.value
+        return asyncio.run(status(url))
 
 
 @pytest.mark.slow
@@ -58,7 +54,7 @@ def test_hostile_servers_hold_nobody_up(*, long_form: bool) -> None:
     assert {server.kind for server in servers} == set(KINDS)
     with ThreadPoolExecutor(8) as pool:
         errors = list(pool.map(ask, servers))
-        errors += pool.map(lambda server: asyncio.run(ask_async(server)), servers)
+        errors += pool.map(lambda server: ask(server, AsyncCamera), servers)
     for server, error in zip(servers * 2, errors, strict=True):
         assert isinstance(error, OUTCOMES), server
         if not server.secure and server.kind.startswith(("dribbles", "falls silent", "silent")):
@@ -69,7 +65,7 @@ def test_hostile_servers_hold_nobody_up(*, long_form: bool) -> None:
 @pytest.mark.slow
 def test_endless_answer_is_not_read_to_its_end(kind: str) -> None:
     server = Hostile(kind, deadline=PATIENT, pause=0.01, secure=False)
-    for error in (ask(server), asyncio.run(ask_async(server))):
+    for error in (ask(server), ask(server, AsyncCamera)):
         assert isinstance(error, ProtocolError)
 
 

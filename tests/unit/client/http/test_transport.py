@@ -82,6 +82,8 @@ ROUTES: list[tuple[Ask, str, Any]] = [
     (lambda camera: camera.start_calibration(repeats=3), "POST calibration", {"repeats": 3}),
     (lambda camera: camera.confirm_scene("lamp"), "POST calibration/scene", {"scene": "lamp"}),
     (lambda camera: camera.cancel_calibration(), "DELETE calibration", None),
+    (lambda camera: camera.log(), "GET log?limit=1000", None),
+    (lambda camera: camera.log(limit=5, after=0), "GET log?limit=5&after=0", None),
     (lambda camera: camera.tokens(), "GET tokens?limit=100", None),
     (lambda camera: camera.tokens(limit=5, after="a&b"), "GET tokens?limit=5&after=a%26b", None),
     (

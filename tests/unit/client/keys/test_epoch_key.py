@@ -33,16 +33,6 @@ def test_keys_are_derived_by_hkdf_expand(
     assert getattr(key, use)() == hmac.digest(value, info + b"\x01", hashlib.sha256)
 
 
-def test_keys_of_uses_devices_and_bundles_differ() -> None:
-    derived = {
-        bytes(getattr(EpochKey(VALUE, device=device, bundle=bundle), use)())
-        for device in (DEVICE, BUNDLE)
-        for bundle in (BUNDLE, "1e" * 32)
-        for use in USES
-    }
-    assert len(derived) == 16
-
-
 def test_keys_are_drawn_anew() -> None:
     drawn = [EpochKey.generate(device=DEVICE, bundle=BUNDLE) for _ in range(100)]
     assert len({bytes(key.reveal()) for key in drawn}) == 100

@@ -82,9 +82,8 @@ def test_answer_without_an_array_says_so() -> None:
     with pytest.raises(VeilcamError, match="ask with include_embedding=True") as caught:
         np.asarray(classification)
     assert caught.value.code == "no_embedding"
-    with_it = classification.model_copy(
-        update={"embedding": Embedding.from_array(VALUES, form="raw")}
-    )
+    embedding = Embedding.from_array(VALUES, form="raw")
+    with_it = classification.model_copy(update={"embedding": embedding})
     assert np.array_equal(np.asarray(with_it), VALUES)
     with pytest.raises(TypeError, match="a Status is no array"):
         np.asarray(Status.model_validate_json(json.dumps(STATUS)))
@@ -95,11 +94,6 @@ def test_answer_without_an_array_says_so() -> None:
     # A capture that cannot be opened is one all the same.
     assert sealed
     assert classification
-
-
-def test_float32_survives_the_wire_exactly() -> None:
-    sent = Embedding.from_array(VALUES, form="white").model_dump_json()
-    assert np.array_equal(np.asarray(Embedding.model_validate_json(sent)), VALUES)
 
 
 @pytest.mark.parametrize(
@@ -159,11 +153,8 @@ WHOLE = npy(VALUES)
     "content",
     [
         *(b"", b"{}", WHOLE[:-1], WHOLE[:-4], WHOLE + b"\0\0\0\0", WHOLE[:100]),
-        *(
-            npy(VALUES.astype(np.float64)),
-            npy(VALUES.astype(">f4")),
-            npy(np.asfortranarray(VALUES)),
-        ),
+        *(npy(VALUES.astype(kind)) for kind in ("<f8", ">f4")),
+        npy(np.asfortranarray(VALUES)),
         WHOLE.replace(b"(3, 4, 5)", b"(9, 9, 9)"),
         WHOLE.replace(b"(3, 4, 5)", b"(3, 4 5) "),
         WHOLE.replace(b"'<f4'", b"'|O8'"),
