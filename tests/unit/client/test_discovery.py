@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from typing import Any
 
 import pytest
 import zeroconf
@@ -24,7 +25,11 @@ def info(
     told: Mapping[str, str] | None = None,
 ) -> zeroconf.ServiceInfo:
     told = {"api": "v1", "scheme": "https"} if told is None else told
-    here = {"server": server, "addresses": [b"\x7f\0\0\1"], "properties": dict(told)}
+    here: dict[str, Any] = {
+        "server": server,
+        "addresses": [b"\x7f\0\0\1"],
+        "properties": dict(told),
+    }
     return zeroconf.ServiceInfo(TYPE, f"{name}.{TYPE}", port, **here)
 
 

@@ -190,7 +190,13 @@ def test_answer_is_known_again_and_every_part_of_it_counts() -> None:
         )
     ]
     assert len({digest, *map(answer_digest, changed)}) == 12
-    told = {"id": ID, "epoch": "9f" * 16, "number": 3, "taken_at": AT, "embedding": embedding}
+    told: dict[str, Any] = {
+        "id": ID,
+        "epoch": "9f" * 16,
+        "number": 3,
+        "taken_at": AT,
+        "embedding": embedding,
+    }
     assert answer_digest(Capture(**told)) != answer_digest(classification(embedding=embedding))
 
 
