@@ -20,6 +20,7 @@
         ``ServerError``: any other 5xx, a defect of the daemon.
 """
 
+import copyreg
 from dataclasses import dataclass
 
 
@@ -58,6 +59,10 @@ class VeilcamError(Exception):
         self.request_id = request_id
         self.retryable = retryable
         self.retry_after = retry_after
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copy without ``__init__``: pools of processes pickle what their workers raise."""
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class ArgumentError(VeilcamError, ValueError):

@@ -66,18 +66,18 @@ def interpreter(folder: Path, loaded: str = "") -> Iterator[Run]:
         text=True,
         env=environment,
     ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        answers = process.stdout
+        asked, answered = process.stdin, process.stdout
+        assert asked is not None
+        assert answered is not None
 
         def run(program: str, *arguments: str) -> Done:
-            asked = json.dumps([program, ["command", *arguments], str(out), str(err)])
-            print(asked, file=process.stdin, flush=True)
-            code = int(answers.readline())
+            line = json.dumps([program, ["command", *arguments], str(out), str(err)])
+            print(line, file=asked, flush=True)
+            code = int(answered.readline())
             return Done(code, out.read_text(), err.read_text())
 
         yield run
-        process.stdin.close()
+        asked.close()
 
 
 @pytest.fixture(scope="module")

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-import ast
+import copy
 import inspect
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import veilcam_client
-from veilcam_client import AsyncCamera, AsyncEventStream, Camera, EventStream, VeilcamError
+from veilcam_client import (
+    ApiError,
+    AsyncCamera,
+    AsyncEventStream,
+    Camera,
+    EventStream,
+    VeilcamError,
+)
 from veilcam_client.cli.terminal import EXIT_CODES
+from veilcam_client.errors import FieldError
 
 PACKAGE = Path(veilcam_client.__file__).parent
 
@@ -47,7 +57,7 @@ def signature(function: Callable[..., object]) -> str:
     return re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(function)))
 
 
-def test_the_public_api_is_that_of_the_snapshot() -> None:
+def test_public_api_is_that_of_the_snapshot() -> None:
     # Changed on purpose? Then: python -m tests.app.client.test_public
     assert public_api() == SNAPSHOT.read_text()
 
@@ -87,31 +97,38 @@ def test_every_method_that_asks_takes_a_timeout_and_has_its_raw_answer(kind: typ
 
 
 def test_httpx_is_known_to_one_room() -> None:
-    importers = set()
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = (
-                [alias.name for alias in node.names]
-                if isinstance(node, ast.Import)
-                else [node.module or ""]
-                if isinstance(node, ast.ImportFrom)
-                else []
-            )
-            if any(name.split(".")[0] in ("httpx", "httpcore") for name in names):
-                importers.add(path.parent.name)
-    assert importers == {"http"}
+    imported = re.compile(r"^\s*(import|from) (httpx|httpcore)\b", re.MULTILINE)
+    importers = (path for path in PACKAGE.rglob("*.py") if imported.search(path.read_text()))
+    assert {path.parent.name for path in importers} == {"http"}
+
+
+def leaves(kind: type[VeilcamError]) -> list[type[VeilcamError]]:
+    below = kind.__subclasses__()
+    return [leaf for each in below for leaf in leaves(each)] if below else [kind]
+
+
+@pytest.mark.parametrize("kind", leaves(VeilcamError))
+def test_error_survives_pickling_and_copying(kind: type[VeilcamError]) -> None:
+    fields = (FieldError("body.seconds", "too small"),)
+    told: dict[str, Any] = {
+        "code": "c",
+        "status": 429,
+        "request_id": "r1",
+        "retryable": True,
+        "retry_after": 1.5,
+    }
+    error = kind("why", **({**told, "errors": fields} if issubclass(kind, ApiError) else {}))
+    for again in (pickle.loads(pickle.dumps(error)), copy.deepcopy(error)):
+        assert type(again) is kind
+        assert (str(again), vars(again)) == ("why", vars(error))
 
 
 def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
-    def leaves(kind: type[VeilcamError]) -> set[type[VeilcamError]]:
-        below = kind.__subclasses__()
-        return set().union(*(leaves(each) for each in below)) if below else {kind}
-
-    assert leaves(VeilcamError) == {kind for kind, _ in EXIT_CODES}
+    assert set(leaves(VeilcamError)) == {kind for kind, _ in EXIT_CODES}
     assert len({code for _, code in EXIT_CODES}) == len(EXIT_CODES)
 
 
-def test_it_is_typed() -> None:
+def test_package_is_typed() -> None:
     assert (PACKAGE / "py.typed").exists()
 
 

@@ -2,146 +2,87 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, TypeAlias
+from typing import Any
 
 import httpx
 import pytest
 
-ROTATION = {
-    "policy": {"mode": "captures", "captures": 3},
-    "epoch": "e1",
-    "captures": 2,
-    "preparation": {"ready": True, "prepared": 4, "last_s": 0.1, "late": 0, "reused": 0},
+from veilcam_client import Camera
+from veilcam_client.wire import bundles, lease, rotation, status, tokens, watch
+
+EXAMPLES: dict[str, dict[str, Any]] = {
+    type(each).__name__: each.model_dump(mode="json")
+    for room in (bundles, lease, rotation, status, tokens, watch)
+    for each in room.EXAMPLES
 }
-WATCH = {
-    "policy": {
-        "mode": "watching",
-        "rate_hz": 2.0,
-        "quiet": {"begin": "22:00", "end": "07:00"},
-    },
-    "activity": "looking",
-    "looks": 7200,
-    "belief": {
-        "label": "3",
-        "confidence": 0.998,
-        "since": "2026-01-02T03:04:05Z",
-        "duration_s": 12.5,
-        "looks": 25,
-    },
-    "history": [
-        {
-            "label": "3",
-            "confidence": 0.998,
-            "seen_at": "2026-01-02T03:04:05Z",
-            "gone_at": None,
-            "duration_s": 12.5,
-        }
-    ],
-}
-CAPTURE = {
-    "id": "c1",
-    "epoch": "e1",
-    "number": 2,
-    "taken_at": "2026-01-02T03:04:05Z",
-    "embedding": {"form": "raw", "shape": [2, 3], "values": [0.0, 1.0, 2.0, 3.0, 4.0, 5.5]},
-}
-CLASSIFICATION = {
-    "id": "c1",
-    "epoch": "e1",
-    "number": 2,
-    "taken_at": "2026-01-02T03:04:05Z",
-    "label": "7",
-    "confidence": 0.9,
-    "scores": {"7": 0.9, "1": 0.1},
-    "embedding": None,
-}
+"""Answers by the name of their model, as the OpenAPI document has them."""
+AT = "2026-01-02T03:04:05Z"
+ROTATION = {**EXAMPLES["Rotation"], "policy": {"mode": "captures", "captures": 3}, "epoch": "e1"}
+WATCH = EXAMPLES["Watch"]
+TAKEN = {"id": "c1", "epoch": "e1", "number": 2, "taken_at": AT}
+VALUES = {"form": "raw", "shape": [2, 3], "values": [0.0, 1.0, 2.0, 3.0, 4.0, 5.5]}
+CAPTURE = {**TAKEN, "embedding": VALUES}
+VERDICT = {"label": "7", "confidence": 0.9, "scores": {"7": 0.9, "1": 0.1}}
+CLASSIFICATION = {**TAKEN, **VERDICT, "embedding": None}
 DEVICE = "d7" * 32
-RECEIVER = {"id": "ab" * 32, "label": "archive", "added_at": "2026-01-02T03:04:05Z"}
-RECEIVERS = {
-    "device": DEVICE,
-    "receivers": [
-        RECEIVER,
-        {"id": "abababab" + "cd" * 28, "label": "a tablet", "added_at": "2026-01-03T03:04:05Z"},
-    ],
-}
-STATUS = {
-    "version": "9.9",
-    "api_version": 1,
-    "state": "ready",
-    "uptime_s": 3.0,
-    "captures": 5,
-    "release": "raw",
-    "raw_budget": 100,
-    "receivers": [RECEIVER],
-    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False, "key": DEVICE},
-    "bundle": {
-        "digest": "0" * 64,
-        "task": "mnist",
-        "mode": "pairs",
-        "labels": ["7", "1"],
-        "embedding_shape": [2, 3],
-        "pairs": 5,
-    },
-    "rotation": ROTATION,
-    "queue": {"waiting": 0, "limit": 8},
-    "from_the_future": True,
-}
-LEASE = {"held": True, "owner": "me", "expires_in_s": 9.5, "mine": True}
-TOKEN = {
-    "id": "0123456789ab",
-    "label": "a lamp",
-    "scopes": ["classify", "read:status"],
-    "created_at": "2026-01-02T03:04:05Z",
-    "expires_at": None,
-    "revoked_at": None,
-    "last_used_on": "2026-01-03",
-}
-SECRET = "vc_0123456789ab_" + 64 * "5"
-DIAGNOSTICS = {
-    "versions": {"veilcam": "9.9"},
-    "settings": {"queue_limit": 8, "bundle": "given"},
-    "states": [{"at": "2026-01-02T03:04:05Z", "state": "ready", "detail": None}],
-    "faults": [{"at": "2026-01-02T03:04:06Z", "code": "sensor_failed", "detail": "no frame came"}],
-    "events": {"capture": 5},
-    "fault_counts": {"sensor_failed": 1},
-    "audit_lost": 0,
-}
+RECEIVER = {"id": "ab" * 32, "label": "archive", "added_at": AT}
+TABLET = {"id": "abababab" + "cd" * 28, "label": "a tablet", "added_at": AT}
+RECEIVERS = {"device": DEVICE, "receivers": [RECEIVER, TABLET]}
+INFO = {"digest": "ab" * 32, "task": "fashion", "pairs": 5, "version": 0, "labels": ["7", "1"]}
+INFO = {**EXAMPLES["Status"]["bundle"], **INFO, "signed_by": None, "card": None}
 BUNDLE: dict[str, Any] = {
+    **EXAMPLES["InstalledBundle"],
     "digest": "ab" * 32,
     "size": 2_300_000,
     "active": False,
-    "configured": False,
-    "bundle": {
-        "digest": "ab" * 32,
-        "task": "fashion",
-        "mode": "pairs",
-        "labels": ["7", "1"],
-        "embedding_shape": [2, 3],
-        "pairs": 5,
-    },
+    "bundle": INFO,
 }
-BUNDLES: dict[str, list[dict[str, Any]]] = {
-    "bundles": [
-        {**BUNDLE, "digest": "cd" * 32, "active": True, "configured": True, "bundle": None},
-        BUNDLE,
-    ]
+ACTIVE = {**BUNDLE, "digest": "cd" * 32, "active": True, "configured": True, "bundle": None}
+BUNDLES: dict[str, list[dict[str, Any]]] = {"bundles": [ACTIVE, BUNDLE]}
+STATUS = {
+    **EXAMPLES["Status"],
+    "version": "9.9",
+    "release": "raw",
+    "raw_budget": 100,
+    "receivers": [RECEIVER],
+    "bundle": INFO,
+    "rotation": ROTATION,
+    "from_the_future": True,
+}
+LEASE = {**EXAMPLES["Lease"], "owner": "me", "expires_in_s": 9.5}
+TOKEN = {**EXAMPLES["Token"], "label": "a lamp", "last_used_on": "2026-01-03"}
+SECRET = "vc_0123456789ab_" + 64 * "5"
+MEASURING: dict[str, Any] = {
+    "stage": "measuring",
+    "scene": "dark",
+    "instruction": None,
+    "exposures": 10,
+    "total": 330,
+    "detail": None,
 }
 ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("GET", "/v1/bundles"): BUNDLES,
     ("POST", "/v1/bundles"): BUNDLE,
     ("POST", f"/v1/bundles/{'ab' * 32}/activate"): {**BUNDLE, "active": True},
-    ("DELETE", f"/v1/bundles/{'ab' * 32}"): {"bundles": BUNDLES["bundles"][:1]},
+    ("DELETE", f"/v1/bundles/{'ab' * 32}"): {"bundles": [ACTIVE]},
+    ("GET", "/v1/calibration"): {"signed": None, "run": MEASURING},
+    ("POST", "/v1/calibration"): MEASURING,
+    ("POST", "/v1/calibration/scene"): MEASURING,
+    ("DELETE", "/v1/calibration"): {**MEASURING, "stage": "cancelled"},
     ("GET", "/v1/lease"): LEASE,
     ("POST", "/v1/lease"): {**LEASE, "secret": "5ec2e7"},
     ("DELETE", "/v1/lease"): {"held": False, "owner": None, "expires_in_s": None, "mine": False},
-    ("GET", "/v1/diagnostics"): DIAGNOSTICS,
+    ("GET", "/v1/diagnostics"): EXAMPLES["Diagnostics"],
     ("GET", "/v1/tokens"): {"tokens": [TOKEN], "next": None},
     ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
-    ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": "2026-01-04T00:00:00Z"},
+    ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": AT},
+    ("GET", "/v1/log"): {"records": [], "next": None},
     ("GET", "/v1/receivers"): RECEIVERS,
     ("POST", "/v1/receivers"): RECEIVER,
     ("GET", "/v1/status"): STATUS,
@@ -158,7 +99,8 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
 
 
 def problem(status: int, code: str, *, retryable: bool = False, **headers: str) -> httpx.Response:
-    body = {
+    """Return what a daemon answers where something went wrong."""
+    told = {
         "type": f"urn:veilcam:problem:{code}",
         "title": "A title",
         "status": status,
@@ -169,11 +111,30 @@ def problem(status: int, code: str, *, retryable: bool = False, **headers: str) 
         "retryable": retryable,
         "errors": [{"location": "body.seconds", "message": "too small"}],
     }
+    media = {"Content-Type": "application/problem+json"}
+    return httpx.Response(status, content=json.dumps(told), headers={**media, **headers})
+
+
+def events(*told: dict[str, Any]) -> httpx.Response:
+    """Return a stream of these events."""
     return httpx.Response(
-        status,
-        content=json.dumps(body),
-        headers={"Content-Type": "application/problem+json", **headers},
+        200,
+        text="".join(
+            f"event: {each['kind']}\ndata: {json.dumps({'id': f'b-{n}', 'at': AT, **each})}\n\n"
+            for n, each in enumerate(told)
+        ),
     )
+
+
+def camera_of(kind: type, handler: Callable[[httpx.Request], Any], **options: Any) -> Any:
+    """Return a camera of either kind that asks a handler."""
+    client = httpx.Client if kind is Camera else httpx.AsyncClient
+    return kind(http_client=client(transport=httpx.MockTransport(handler)), **options)
+
+
+async def result(answer: Any) -> Any:
+    """Return what either kind of camera answers."""
+    return await answer if inspect.isawaitable(answer) else answer
 
 
 class Daemon:
@@ -195,9 +156,6 @@ class Daemon:
         return httpx.Response(200, json=ANSWERS[request.method, request.url.path])
 
 
-Problem: TypeAlias = Callable[..., httpx.Response]
-
-
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
@@ -208,30 +166,32 @@ def daemon() -> Daemon:
     return Daemon()
 
 
-@pytest.fixture
-def make_problem() -> Problem:
-    return problem
+class Handler(BaseHTTPRequestHandler):
+    """Base of servers that log nothing."""
+
+    def log_message(self, *_: object) -> None:
+        pass
 
 
-@pytest.fixture
-def answers() -> dict[str, Any]:
-    return {
-        "status": STATUS,
-        "capture": CAPTURE,
-        "classification": CLASSIFICATION,
-        "token": TOKEN,
-    }
+@contextmanager
+def serving(handler: type[Handler]) -> Iterator[str]:
+    """Serve in threads, and yield the URL."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
 
 
 @pytest.fixture
 def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    class Handler(BaseHTTPRequestHandler):
+    class Asked(Handler):
         def handle_one(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
-            request = httpx.Request(
-                self.command, f"http://x{self.path}", content=self.rfile.read(length)
-            )
-            answer = daemon(request)
+            content = self.rfile.read(length)
+            answer = daemon(httpx.Request(self.command, f"http://x{self.path}", content=content))
             self.send_response(answer.status_code)
             for name, value in answer.headers.items():
                 self.send_header(name, value)
@@ -240,15 +200,6 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
         do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
 
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    address = f"http://127.0.0.1:{server.server_port}"
-    monkeypatch.setenv("VEILCAM_URL", address)
-    yield address
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with serving(Asked) as address:
+        monkeypatch.setenv("VEILCAM_URL", address)
+        yield address

@@ -10,35 +10,16 @@ from typing import Any
 import httpx
 
 from veilcam_client import Camera
+from veilcam_client.wire.status import example_status
 
-EPOCH = "9f86d081884c7d659a2feaa0c55ad015"
 AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 STATUS: dict[str, Any] = {
-    "version": "0.1.0",
-    "api_version": 1,
-    "state": "ready",
-    "uptime_s": 1.0,
+    **json.loads(example_status().model_dump_json()),
     "captures": 0,
     "release": "white",
-    "raw_budget": 0,
     "receivers": [],
-    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False, "key": "d7" * 32},
-    "bundle": {
-        "digest": "0f" * 32,
-        "task": "mnist",
-        "mode": "fresh",
-        "labels": ["0", "1"],
-        "embedding_shape": [2, 3],
-        "pairs": 0,
-    },
-    "rotation": {
-        "policy": {"mode": "captures", "captures": 1},
-        "epoch": EPOCH,
-        "captures": 0,
-        "preparation": {"ready": True, "prepared": 1, "last_s": 0, "late": 0, "reused": 0},
-    },
-    "queue": {"waiting": 0, "limit": 8},
 }
+STATUS["bundle"] = {**STATUS["bundle"], "mode": "fresh", "pairs": 0, "card": None}
 
 
 def answer(number: int) -> dict[str, Any]:

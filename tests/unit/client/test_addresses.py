@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import inspect
 import logging
-from typing import Any
 
 import httpx
 import pytest
-from tests.unit.client.conftest import Daemon
+from tests.unit.client.conftest import Daemon, camera_of, result
 from typer.testing import CliRunner
 
 from veilcam_client import AsyncCamera, Camera, VeilcamError
@@ -19,10 +17,6 @@ from veilcam_client.cli.main import app
 pytestmark = pytest.mark.anyio
 KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 PASSWORD = "hunter2"
-
-
-async def result(answer: Any) -> Any:
-    return await answer if inspect.isawaitable(answer) else answer
 
 
 @pytest.mark.parametrize(
@@ -47,9 +41,8 @@ def test_address_is_shown_without_its_password(address: str, shown: str) -> None
 async def test_password_is_sent_and_not_shown(
     daemon: Daemon, kind: type, caplog: pytest.LogCaptureFixture
 ) -> None:
-    client = httpx.Client if kind is Camera else httpx.AsyncClient
-    http = client(transport=httpx.MockTransport(daemon))
-    camera = kind(f"http://user:{PASSWORD}%21@localhost:1/", http_client=http, max_retries=0)
+    url = f"http://user:{PASSWORD}%21@localhost:1/"
+    camera = camera_of(kind, daemon, url=url, max_retries=0)
     assert repr(camera) == f"{kind.__name__}('http://***@localhost:1/')"
     with caplog.at_level(logging.DEBUG):
         await result(camera.status())
@@ -75,13 +68,10 @@ def test_password_of_an_address_that_is_refused_is_not_shown(kind: type, address
     assert PASSWORD not in str(caught.value)
 
 
-def test_password_beside_a_token_in_the_clear_is_not_shown() -> None:
+def test_password_is_not_shown_beside_a_token_or_on_a_terminal() -> None:
     with pytest.raises(ValueError, match="in the clear") as caught:
         Camera(f"http://user:{PASSWORD}@camera.local", token="vc_1")
     assert PASSWORD not in str(caught.value)
-
-
-def test_password_is_not_shown_on_a_terminal() -> None:
     for place in ("127.0.0.1:9", "host:x"):
         told = CliRunner().invoke(app, ["status", "--url", f"http://user:{PASSWORD}@{place}"])
         assert told.exit_code != 0

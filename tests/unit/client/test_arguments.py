@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.unit.client.conftest import Daemon, Problem
+from tests.unit.client.conftest import Daemon, camera_of, problem, result
 from tests.unit.client.sealing import Device, Epoch
 
 from veilcam_client import (
@@ -40,21 +39,13 @@ NO_FLAGS = ("no", 1, None)
 NO_NAMES = (None, 5, "", ".", "..", b"x")
 
 
-def camera_of(kind: type, handler: Callable[[httpx.Request], Any], **options: Any) -> Any:
-    client = httpx.Client if kind is Camera else httpx.AsyncClient
-    return kind(http_client=client(transport=httpx.MockTransport(handler)), **options)
-
-
-async def result(answer: Any) -> Any:
-    return await answer if inspect.isawaitable(answer) else answer
-
-
 @KINDS
 @pytest.mark.parametrize(
     ("name", "values"),
     [
         ("url", (5, b"http://localhost", "", "localhost", "http://", "http://h:x", "http://[::1")),
-        ("url", ("http://h:99999", "http://h\n", "unix:///a\0b", "http://h:0")),
+        ("url", ("http://h:99999", "http://h\n", "unix:///a\0b", "http://h:0", "ftp://camera")),
+        ("url", ("unix://relative/path", "http://camera?token=1")),
         ("timeout", NO_SECONDS),
         ("connect_timeout", (*NO_SECONDS, None)),
         ("read_timeout", (*NO_SECONDS, None)),
@@ -203,17 +194,10 @@ def test_file_of_a_function_is_named(daemon: Daemon, tmp_path: Path) -> None:
 
 def test_sealed_embedding_says_what_opens_it() -> None:
     sealed = Epoch(Device(), ReceiverKey.generate()).capture(0).embedding
-    uses: list[Callable[[Any], Any]] = [
-        *(
-            len,
-            list,
-            np.asarray,
-            lambda each: each[0],
-            lambda each: each[0, 1],
-            lambda each: 1 in each,
-        )
-    ]
-    for use in uses:
+    uses: tuple[Callable[[Any], Any], ...] = (len, list, np.asarray)
+    by_index: tuple[Callable[[Any], Any], ...] = (lambda each: each[0], lambda each: each[0, 1])
+    inside: Callable[[Any], Any] = lambda each: 1 in each  # noqa: E731
+    for use in (*uses, *by_index, inside):
         with pytest.raises(SealedError, match=r"Camera\(key=\.\.\.\)"):
             use(sealed)
     assert sealed
@@ -221,9 +205,9 @@ def test_sealed_embedding_says_what_opens_it() -> None:
 
 
 @KINDS
-async def test_missing_token_is_named(daemon: Daemon, make_problem: Problem, kind: type) -> None:
+async def test_missing_token_is_named(daemon: Daemon, kind: type) -> None:
     refused: list[tuple[httpx.Response, type[VeilcamError]]] = [
-        (make_problem(401, "unauthorized"), UnauthorizedError),
+        (problem(401, "unauthorized"), UnauthorizedError),
         (httpx.Response(401, text="of a proxy"), ProtocolError),
     ]
     for answer, error in refused:

@@ -58,9 +58,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "measurements.jsonl"
 
 
-def test_what_was_read_is_kept_with_its_label_and_epoch(path: Path) -> None:
+def test_measurement_is_kept_with_its_label_and_epoch(path: Path) -> None:
     assert collect(daemon().camera(), path, SHOTS) == 6
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    first, second, *_ = map(json.loads, path.read_text().splitlines())
+    assert first["format"] == "veilcam-measurements"
+    fields = {"picture", "label", "epoch", "number", "taken_at", "values", "mask_key"}
+    assert set(second) == fields
     header, found = lines(path)
     assert (header.bundle, header.labels, header.shape) == ("0f" * 32, ("0", "1"), (2, 3))
     for number, (shot, measured) in enumerate(zip(SHOTS, found, strict=True)):
@@ -72,9 +76,7 @@ def test_what_was_read_is_kept_with_its_label_and_epoch(path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1, 40])
-def test_a_collection_that_broke_off_goes_on_and_measures_nothing_twice(
-    path: Path, cut: int
-) -> None:
+def test_collection_that_broke_off_goes_on_and_measures_nothing_twice(path: Path, cut: int) -> None:
     with pytest.raises(DeviceError):
         collect(daemon(captures=2).camera(), path, SHOTS)
     with path.open("ab") as stream:
@@ -86,19 +88,19 @@ def test_a_collection_that_broke_off_goes_on_and_measures_nothing_twice(
     assert collect(daemon().camera(), path, SHOTS) == 0
 
 
-def test_a_file_that_broke_off_in_its_first_line_begins_anew(path: Path) -> None:
+def test_file_that_broke_off_in_its_first_line_begins_anew(path: Path) -> None:
     path.write_bytes(b'{"format":"veil')
     assert collect(daemon().camera(), path, SHOTS[:1]) == 1
     assert len(lines(path)[1]) == 1
 
 
-def test_what_a_person_says_is_taken_as_often_as_it_is_said(path: Path) -> None:
+def test_label_of_a_person_is_taken_as_often_as_it_is_said(path: Path) -> None:
     for _ in range(2):
         assert collect(daemon().camera(), path, [Shot("1"), Shot("1")]) == 2
     assert [each.picture for each in lines(path)[1]] == [None] * 4
 
 
-def test_each_measurement_is_on_the_disk_before_the_next_is_taken(
+def test_measurement_is_on_the_disk_before_the_next_is_taken(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held: list[int] = []
@@ -114,7 +116,7 @@ def test_each_measurement_is_on_the_disk_before_the_next_is_taken(
 
 
 @pytest.mark.parametrize("mode", ["pairs", "fresh"])
-def test_what_comes_sealed_is_opened_and_a_fresh_masks_key_is_kept(path: Path, mode: str) -> None:
+def test_sealed_measurement_is_opened_and_a_fresh_masks_key_is_kept(path: Path, mode: str) -> None:
     receiver, epochs, made = sealing(2, mode)
     collect(made.camera(), path, SHOTS[:2], key=receiver)
     header, found = lines(path)
@@ -130,7 +132,7 @@ def test_what_comes_sealed_is_opened_and_a_fresh_masks_key_is_kept(path: Path, m
         assert epoch.key.levels().hex() not in repr(measured)
 
 
-def test_a_sealed_embedding_of_another_camera_is_refused(path: Path) -> None:
+def test_sealed_embedding_of_another_camera_is_refused(path: Path) -> None:
     receiver, _, made = sealing(1, "pairs")
     with pytest.raises(SealedError, match="check the camera"):
         collect(made.camera(), path, SHOTS[:1], key=receiver, device="ab" * 32)
@@ -145,7 +147,7 @@ def test_a_sealed_embedding_of_another_camera_is_refused(path: Path) -> None:
         ("raw", "fresh", "does not say which fresh mask"),
     ],
 )
-def test_a_form_that_no_classifier_can_be_adapted_with_is_refused_first(
+def test_form_that_no_classifier_can_be_adapted_with_is_refused_first(
     path: Path, release: str, mode: str, why: str
 ) -> None:
     made = daemon(release=release)
@@ -156,7 +158,7 @@ def test_a_form_that_no_classifier_can_be_adapted_with_is_refused_first(
     assert not path.exists()
 
 
-def test_a_replay_and_an_unknown_label_are_refused(path: Path) -> None:
+def test_replay_and_an_unknown_label_are_refused(path: Path) -> None:
     with pytest.raises(RecordingError, match="replays a recording"):
         collect(daemon(state="replay").camera(), path, SHOTS)
     with pytest.raises(RecordingError, match="'cat' is no label of the camera's bundle: use one"):
@@ -164,7 +166,7 @@ def test_a_replay_and_an_unknown_label_are_refused(path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", ["device", "bundle"])
-def test_a_file_of_another_camera_or_bundle_is_not_gone_on_with(path: Path, other: str) -> None:
+def test_file_of_another_camera_or_bundle_is_not_gone_on_with(path: Path, other: str) -> None:
     collect(daemon().camera(), path, SHOTS[:1])
     before = path.read_bytes()
     made = daemon()
@@ -175,7 +177,7 @@ def test_a_file_of_another_camera_or_bundle_is_not_gone_on_with(path: Path, othe
     assert path.read_bytes() == before
 
 
-def test_a_bundle_that_changes_on_the_way_is_noticed(path: Path) -> None:
+def test_bundle_that_changes_on_the_way_is_noticed(path: Path) -> None:
     made = daemon()
     taken: list[Shot] = []
 
@@ -192,7 +194,7 @@ def test_a_bundle_that_changes_on_the_way_is_noticed(path: Path) -> None:
         collect(sealed.camera(), path.with_name("other"), SHOTS, key=receiver)
 
 
-def test_a_scene_that_another_caller_held_up_is_not_labelled(path: Path) -> None:
+def test_scene_that_another_caller_held_up_is_not_labelled(path: Path) -> None:
     receiver, _, made = sealing(2, "pairs")
 
     def shows(number: int) -> Any:
@@ -208,23 +210,17 @@ def test_a_scene_that_another_caller_held_up_is_not_labelled(path: Path) -> None
         collect(made.camera(), path, SHOTS[1:], key=receiver, show=shows(4))
 
 
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
+def test_file_of_something_else_is_left_alone(path: Path) -> None:
+    collect(daemon().camera(), path, [])
+    header = path.read_bytes()
+    for content, why in (
         (b"no\n", "is no file of measurements"),
-        (None, "line 2: this is no measurement"),
-    ],
-)
-def test_a_file_of_something_else_is_left_alone(
-    path: Path, content: bytes | None, why: str
-) -> None:
-    if content is None:
-        collect(daemon().camera(), path, [])
-        content = path.read_bytes() + b'{"label": "0"}\n'
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match=why):
-        collect(daemon().camera(), path, SHOTS)
-    assert path.read_bytes() == content
+        (header + b'{"label": "0"}\n', "line 2: this is no measurement"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(RecordingError, match=why):
+            collect(daemon().camera(), path, SHOTS)
+        assert path.read_bytes() == content
 
 
 def test_two_collections_do_not_write_one_file(path: Path, tmp_path: Path) -> None:
@@ -251,7 +247,7 @@ def test_pictures_come_one_of_each_label_after_the_other(tmp_path: Path) -> None
         labelled_pictures(tmp_path / "none")
 
 
-def test_a_picture_is_held_up_while_it_is_measured_alone(tmp_path: Path) -> None:
+def test_picture_is_held_up_while_it_is_measured_alone(tmp_path: Path) -> None:
     class Holder:
         held: ClassVar[list[bytes | None]] = []
 
@@ -272,12 +268,3 @@ def test_a_picture_is_held_up_while_it_is_measured_alone(tmp_path: Path) -> None
         pass
     with pytest.raises(ValueError, match="use unaided"), show(Shot("a")):
         pass
-
-
-def test_the_file_is_lines_of_json(path: Path) -> None:
-    collect(daemon().camera(), path, SHOTS[:1])
-    first, second = map(json.loads, path.read_text().splitlines())
-    assert first["format"] == "veilcam-measurements"
-    assert set(second) == {
-        *("picture", "label", "epoch", "number", "taken_at", "values", "mask_key")
-    }

@@ -65,7 +65,7 @@ def path(frame: SceneFrame, tmp_path: Path) -> Path:
     return tmp_path / "frame"
 
 
-def test_a_receiver_decodes_every_mask(
+def test_receiver_decodes_every_mask(
     frame: SceneFrame, path: Path, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
     device = Device()
@@ -82,7 +82,7 @@ def test_a_receiver_decodes_every_mask(
     assert scene.shape == SCENE.shape
 
 
-def test_a_classification_is_decoded_too(
+def test_classification_is_decoded_too(
     frame: SceneFrame, path: Path, receiver: ReceiverKey
 ) -> None:
     taken = Taken(frame, Device(), receiver)
@@ -99,7 +99,7 @@ def test_a_classification_is_decoded_too(
         assert refused.value.code == "no_embedding"
 
 
-def test_what_is_not_this_cameras_is_refused(
+def test_foreign_capture_is_not_decoded(
     frame: SceneFrame, path: Path, receiver: ReceiverKey
 ) -> None:
     taken, other = Taken(frame, Device(), receiver), Taken(frame, Device(), receiver)
@@ -113,7 +113,7 @@ def test_what_is_not_this_cameras_is_refused(
         SceneDecoder(path, ReceiverKey.generate()).decode(taken.capture)
 
 
-def test_a_frame_of_another_camera_is_refused(
+def test_frame_of_another_camera_is_refused(
     frame: SceneFrame, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
     capture = Epoch(Device(), receiver).capture(0)
@@ -127,7 +127,7 @@ def test_a_frame_of_another_camera_is_refused(
         SceneDecoder(tmp_path / "frame", tmp_path / "missing")
 
 
-def test_without_the_optics_it_says_what_to_install(
+def test_decoder_without_the_optics_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, path: Path, receiver: ReceiverKey
 ) -> None:
     monkeypatch.setitem(sys.modules, "veilcam_optics.decoding", None)

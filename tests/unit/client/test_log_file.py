@@ -19,7 +19,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "captures.jsonl"
 
 
-def test_a_log_is_fetched_and_gone_on_with(path: Path) -> None:
+def test_log_is_fetched_and_gone_on_with(path: Path) -> None:
     log = Log(Device())
     added, head = fetch_log(log, path)
     assert added == 10
@@ -34,7 +34,7 @@ def test_a_log_is_fetched_and_gone_on_with(path: Path) -> None:
     assert not verify_log(path, device=log.device.public).findings
 
 
-def test_a_log_that_does_not_go_on_there_is_refused(path: Path) -> None:
+def test_log_that_does_not_go_on_there_is_refused(path: Path) -> None:
     device = Device()
     fetch_log(Log(device), path)
     held = path.read_bytes()
@@ -49,7 +49,7 @@ def test_a_log_that_does_not_go_on_there_is_refused(path: Path) -> None:
         assert path.read_bytes() == held
 
 
-def test_what_grows_meanwhile_is_no_departure(path: Path) -> None:
+def test_log_that_grows_meanwhile_is_no_departure(path: Path) -> None:
     log = Log(Device())
     fetch_log(log, path)
 
@@ -62,27 +62,17 @@ def test_what_grows_meanwhile_is_no_departure(path: Path) -> None:
     assert fetch_log(log, path)[0] == 0
 
 
-@pytest.mark.parametrize("held", [b"x\n", b"{}"])
-def test_a_file_that_is_no_log_is_left_alone(path: Path, held: bytes) -> None:
+LOG = Log(Device())
+
+
+@pytest.mark.parametrize("held", [b"x\n", b"{}", b"\n".join(LOG.lines)])
+def test_file_that_does_not_end_with_a_record_is_left_alone(path: Path, held: bytes) -> None:
     path.write_bytes(held)
     with pytest.raises(LogFileError, match="does not end with a record"):
-        fetch_log(Log(Device()), path)
+        fetch_log(LOG, path)
     assert path.read_bytes() == held
-
-
-def test_a_file_whose_last_line_is_half_is_left_alone(path: Path) -> None:
-    log = Log(Device())
-    fetch_log(log, path)
-    held = path.read_bytes()[:-1]
-    path.write_bytes(held)
-    with pytest.raises(LogFileError, match="does not end with a record"):
-        fetch_log(log, path)
-    assert path.read_bytes() == held
-
-
-def test_an_empty_file_is_filled(path: Path) -> None:
-    path.touch()
-    assert fetch_log(Log(Device()), path)[0] == 10
+    path.write_bytes(b"")
+    assert fetch_log(LOG, path)[0] == 10
 
 
 def test_files_that_cannot_be_used_are_named(path: Path, tmp_path: Path) -> None:

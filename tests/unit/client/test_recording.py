@@ -29,7 +29,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("labels", [False, True])
-def test_what_was_answered_is_what_is_read(path: Path, *, labels: bool) -> None:
+def test_recording_holds_what_was_answered(path: Path, *, labels: bool) -> None:
     counted: list[int] = []
     size = record(
         Daemon().camera(), path, count=3, labels=labels, advance=lambda: counted.append(1)
@@ -51,9 +51,7 @@ def test_what_was_answered_is_what_is_read(path: Path, *, labels: bool) -> None:
 
 
 @pytest.mark.parametrize("labels", [False, True])
-def test_what_was_sealed_stays_sealed_unless_a_key_opens_it(
-    tmp_path: Path, *, labels: bool
-) -> None:
+def test_sealed_capture_stays_sealed_unless_a_key_opens_it(tmp_path: Path, *, labels: bool) -> None:
     receiver, device = ReceiverKey.generate(), Device()
     epochs = [Epoch(device, receiver) for _ in range(2)]
     taken = [epoch.capture(0).model_dump(mode="json") for epoch in epochs]
@@ -77,7 +75,7 @@ def test_what_was_sealed_stays_sealed_unless_a_key_opens_it(
         read_recording(sealed)
 
 
-def test_a_label_is_kept_without_the_scores_that_did_not_come(path: Path) -> None:
+def test_label_is_kept_without_the_scores_that_did_not_come(path: Path) -> None:
     daemon = Daemon()
     daemon.verdict = {"label": "1"}
     record(daemon.camera(), path, count=1, labels=True)
@@ -85,13 +83,13 @@ def test_a_label_is_kept_without_the_scores_that_did_not_come(path: Path) -> Non
     assert recorded.verdict == Prediction(label="1")
 
 
-def test_what_was_written_before_a_failure_is_a_whole_recording(path: Path) -> None:
+def test_failed_recording_is_whole_up_to_the_failure(path: Path) -> None:
     with pytest.raises(DeviceError):
         record(Daemon(captures=2).camera(), path, count=3)
     assert len(read_recording(path).captures) == 2
 
 
-def test_nothing_is_overwritten_and_no_replay_recorded(path: Path, tmp_path: Path) -> None:
+def test_recording_overwrites_nothing_and_records_no_replay(path: Path, tmp_path: Path) -> None:
     path.write_text("mine")
     with pytest.raises(RecordingError, match="exists: give another name"):
         record(Daemon().camera(), path, count=1)
@@ -103,19 +101,6 @@ def test_nothing_is_overwritten_and_no_replay_recorded(path: Path, tmp_path: Pat
     assert not (tmp_path / "other").exists()
 
 
-def changed(**fields: Any) -> Callable[[list[Line]], None]:
-    """Of the second capture."""
-
-    def change(lines: list[Line]) -> None:
-        lines[2]["capture"].update(fields)
-
-    return change
-
-
-def strange_label(lines: list[Line]) -> None:
-    lines[2]["verdict"] = {**VERDICT, "label": "cat"}
-
-
 def other_version(lines: list[Line]) -> None:
     lines[0]["version"] = 2
 
@@ -124,36 +109,40 @@ def no_captures(lines: list[Line]) -> None:
     del lines[1:]
 
 
+SMALL = {"form": "white", "shape": [1, 1], "values": [1.0]}
+RAW = {**answer(1)["embedding"], "form": "raw"}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (changed(epoch=7), "line 3: this is no capture"),
-        (changed(replay={"capture": "1", "place": 0}), "line 3: this was itself replayed"),
+        ({"epoch": 7}, "line 3: this is no capture"),
+        ({"replay": {"capture": "1", "place": 0}}, "line 3: this was itself replayed"),
+        ({"embedding": SMALL}, "line 3: this is of another camera"),
+        ({"embedding": RAW}, "line 3: this is raw, and the others are white"),
         (
-            changed(embedding={"form": "white", "shape": [1, 1], "values": [1.0]}),
-            "line 3: this is of another camera",
+            lambda lines: lines[2].update(verdict={**VERDICT, "label": "cat"}),
+            "line 3: this label is not one of the camera's",
         ),
-        (
-            changed(embedding={**answer(1)["embedding"], "form": "raw"}),
-            "line 3: this is raw, and the others are white",
-        ),
-        (strange_label, "line 3: this label is not one of the camera's"),
         (other_version, "is no recording of this version"),
         (no_captures, "holds no captures"),
     ],
 )
-def test_a_damaged_recording_is_refused(
-    path: Path, change: Callable[[list[Line]], None], message: str
+def test_damaged_recording_is_refused(
+    path: Path, change: Line | Callable[[list[Line]], None], message: str
 ) -> None:
     record(Daemon().camera(), path, count=3)
     lines = [json.loads(line) for line in path.read_text().splitlines()]
-    change(lines)
+    if callable(change):
+        change(lines)
+    else:
+        lines[2]["capture"].update(change)
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(RecordingError, match=message):
         read_recording(path)
 
 
-def test_a_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path) -> None:
+def test_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path) -> None:
     record(Daemon().camera(), path, count=3)
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(RecordingError, match="is cut off: remove its last line"):
@@ -166,7 +155,7 @@ def test_a_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path)
         read_recording(path)
 
 
-def test_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record_command_writes_a_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = Daemon(captures=2)
     monkeypatch.setattr("veilcam_client.cli.main.Camera", lambda *_, **__: daemon.camera())
     options = ["record", "--count", "2", "--labels", "--out", str(path)]

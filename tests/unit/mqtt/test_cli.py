@@ -23,7 +23,6 @@ runner = CliRunner()
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--broker", "nonsense"], "use mqtt://HOST"),
         (["--broker", "mqtt://broker.example"], "--allow-plain"),
         (["--username", "me", "--password-file", "{tmp}/none"], "cannot be read"),
         (["--username", "me", "--password-file", "{tmp}/two"], "must hold one line"),
@@ -33,16 +32,14 @@ runner = CliRunner()
         (["--webhook", "https://a", "--webhook-secret-file", "{tmp}/one"], "whsec_"),
         (["--name", "a/b"], "no level of a topic"),
         (["--base", "#"], "no level of a topic"),
-        (["--discovery", ""], "no level of a topic"),
         (["--url", "nonsense"], "http://HOST:PORT"),
         (["--url", "http://192.0.2.1", "--token-file", "{tmp}/one"], "use https://"),
         (["--log-level", "loud"], "one of debug"),
         (["--broker", "mqtts://a", "--ca-file", "{tmp}/one"], "cannot be used"),
-        (["--broker", "mqtts://a", "--certificate", "{tmp}/one"], "give both"),
         (["--broker", "mqtts://a", "--certificate", "{tmp}/one", "--key", "{tmp}/one"], "cannot"),
     ],
 )
-def test_what_does_not_fit_ends_with_a_line(
+def test_option_that_does_not_fit_ends_with_a_line(
     options: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("veilcam_mqtt.logs.configure", lambda _: None)
@@ -55,7 +52,7 @@ def test_what_does_not_fit_ends_with_a_line(
     assert message in line
 
 
-def test_its_version_is_that_of_the_package() -> None:
+def test_version_is_that_of_the_package() -> None:
     assert runner.invoke(app, ["--version"]).stdout == f"veilcam-mqtt {__version__}\n"
 
 
@@ -69,7 +66,7 @@ def test_every_option_stands_in_the_environment_too() -> None:
     assert "VEILCAM_TOKEN_FILE" in text
 
 
-def test_a_line_of_the_log_is_json_and_repeats_no_text_of_an_error() -> None:
+def test_line_of_the_log_is_json_and_repeats_no_text_of_an_error() -> None:
     record = logging.LogRecord("veilcam.mqtt", logging.WARNING, "f", 1, "broker: %s", ("a",), None)
     entry = json.loads(JsonFormatter().format(record))
     assert (entry["event"], entry["level"]) == ("broker: a", "warning")

@@ -50,7 +50,7 @@ def told(view: View, now: float = 0.0) -> dict[str, str]:
         (LOOKING, "None", "None"),
     ],
 )
-def test_the_belief_becomes_label_and_confidence(watch: Watch, label: str, confidence: str) -> None:
+def test_belief_becomes_label_and_confidence(watch: Watch, label: str, confidence: str) -> None:
     said = told(View.of(STATUS, watch, 0.0))
     assert (said["label"], said["confidence"]) == (label, confidence)
 
@@ -71,7 +71,7 @@ def test_events_change_what_is_said() -> None:
     assert view.after(capture, 1.0) is view
 
 
-def test_the_age_of_the_mask_grows_in_steps() -> None:
+def test_age_of_the_mask_grows_in_steps() -> None:
     age = STATUS.rotation.epoch_age_s
     assert age == 12.5
     view = View.of(STATUS, LOOKING, 100.0)
@@ -85,16 +85,12 @@ def test_the_age_of_the_mask_grows_in_steps() -> None:
     assert told(none)["mask_age"] == "None"
 
 
-def test_a_camera_that_does_not_answer_is_offline() -> None:
+def test_description_comes_first_and_the_cameras_absence_last() -> None:
     view = View.of(STATUS, LOOKING, 0.0)
+    first, *_, last = view.messages(NAMES, 0.0)
+    assert (first, last) == ("homeassistant/device/camera/config", "veilcam/camera/camera")
     assert told(view)["camera"] == "online"
     assert told(View(STATUS, online=False))["camera"] == "offline"
-
-
-def test_the_device_is_described_before_its_states() -> None:
-    first, *rest = View.of(STATUS, LOOKING, 0.0).messages(NAMES, 0.0)
-    assert first == "homeassistant/device/camera/config"
-    assert rest[-1] == "veilcam/camera/camera"
 
 
 @pytest.mark.parametrize(
@@ -108,11 +104,13 @@ def test_the_device_is_described_before_its_states() -> None:
         (Seen(id="1", at=AT, label="7", duration_s=1.0), False, True),
     ],
 )
-def test_some_events_call_for_a_look(event: Event, look: bool, changes: bool) -> None:
+def test_event_calls_for_a_look_or_changes_what_is_seen(
+    event: Event, look: bool, changes: bool
+) -> None:
     assert (calls_for_a_look(event), changes_what_is_seen(event)) == (look, changes)
 
 
-def test_an_event_has_the_type_that_home_assistant_looks_for() -> None:
+def test_event_has_the_type_that_home_assistant_looks_for() -> None:
     gone = Gone(id="b-2", at=AT, label="7", confidence=None, duration_s=3.0, reason="left")
     assert json.loads(event_payload(gone)) == {
         "event_type": "gone",
@@ -124,7 +122,7 @@ def test_an_event_has_the_type_that_home_assistant_looks_for() -> None:
     }
 
 
-def test_nothing_is_read_from_the_disk_to_tell_what_is_known(
+def test_view_reads_nothing_from_the_disk(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With every event all of it is put into words: that must not take milliseconds."""

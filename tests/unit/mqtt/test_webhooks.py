@@ -16,7 +16,7 @@ SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
 URL = "https://house.example/hook?key=hidden"
 
 
-def test_the_signature_is_that_of_standard_webhooks() -> None:
+def test_signature_is_that_of_standard_webhooks() -> None:
     # The example of the specification's libraries.
     headers = Webhook(URL, SECRET).headers(
         "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}'
@@ -41,7 +41,7 @@ def test_the_signature_is_that_of_standard_webhooks() -> None:
         (URL, ""),
     ],
 )
-def test_what_is_none_is_refused_without_its_secret(url: str, secret: str) -> None:
+def test_invalid_webhook_is_refused_without_its_secret(url: str, secret: str) -> None:
     with pytest.raises(ValueError, match="not valid") as refused:
         Webhook(url, secret)
     assert not secret or secret not in str(refused.value)
@@ -81,7 +81,7 @@ class Receiver:
         asyncio.run(run())
 
 
-def test_an_event_is_posted_once_where_it_is_taken() -> None:
+def test_event_is_posted_once_where_it_is_taken() -> None:
     receiver = Receiver([])
     receiver.deliver({"type": "seen"}, {"type": "gone"})
     assert [json.loads(request.content) for request in receiver.got] == [
@@ -93,7 +93,7 @@ def test_an_event_is_posted_once_where_it_is_taken() -> None:
 
 
 @pytest.mark.parametrize("failure", [500, 503, 429, httpx.ConnectError("no"), TimeoutError()])
-def test_what_may_go_well_later_is_repeated_under_its_id(failure: int | Exception) -> None:
+def test_failed_event_is_repeated_under_its_id(failure: int | Exception) -> None:
     receiver = Receiver([failure, failure])
     receiver.deliver({"type": "seen"})
     assert receiver.paused == list(PAUSES[:2])
@@ -117,13 +117,13 @@ def test_repetitions_have_an_end(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("status", [301, 400, 401, 404, 410])
-def test_what_is_refused_is_not_repeated_and_no_redirection_followed(status: int) -> None:
+def test_refused_event_is_not_repeated_and_no_redirection_followed(status: int) -> None:
     receiver = Receiver([status])
     receiver.deliver({"type": "seen"})
     assert [request.url.host for request in receiver.got] == ["house.example"]
 
 
-def test_the_oldest_is_dropped_where_too_many_wait() -> None:
+def test_oldest_event_is_dropped_where_too_many_wait() -> None:
     receiver = Receiver([])
     receiver.deliver(*range(WAITING + 3))
     assert [json.loads(request.content) for request in receiver.got] == list(range(3, WAITING + 3))

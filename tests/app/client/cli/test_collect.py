@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 
@@ -33,7 +30,7 @@ def labels(path: Path) -> list[str]:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_person_says_what_is_there(tmp_path: Path) -> None:
+def test_person_says_what_is_there(tmp_path: Path) -> None:
     file = tmp_path / "out.jsonl"
     result = runner.invoke(app, ["collect", str(file)], input="7\ncat\n1\n\n")
     assert result.exit_code == 0, result.output
@@ -64,7 +61,7 @@ def test_pictures_are_held_up_and_taken_away(
 
 
 @pytest.mark.usefixtures("url")
-def test_a_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path) -> None:
+def test_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path) -> None:
     shown, script = tmp_path / "shown", tmp_path / "viewer.py"
     script.write_text(
         "import sys, time\n"
@@ -88,7 +85,7 @@ def test_a_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path
         (["--viewer", "true", "--pause", "600"], "has ended before"),
     ],
 )
-def test_a_viewer_that_shows_nothing_is_refused(
+def test_viewer_that_shows_nothing_is_refused(
     tmp_path: Path, pictures: Path, options: list[str], why: str
 ) -> None:
     result = runner.invoke(app, ["collect", str(tmp_path / "out"), str(pictures), *options])
@@ -97,7 +94,7 @@ def test_a_viewer_that_shows_nothing_is_refused(
 
 
 @pytest.mark.parametrize("options", [["--per-class", "1"], ["--viewer", "true"]])
-def test_what_belongs_to_pictures_is_refused_without(tmp_path: Path, options: list[str]) -> None:
+def test_option_of_pictures_is_refused_without_a_folder(tmp_path: Path, options: list[str]) -> None:
     result = runner.invoke(app, ["collect", str(tmp_path / "out"), *options])
     assert result.exit_code == 2
     assert "go with FOLDER" in result.stderr

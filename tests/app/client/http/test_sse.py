@@ -26,12 +26,12 @@ def test_events_are_read_whatever_the_pieces(size: int) -> None:
     ]
 
 
-def test_what_is_no_utf_8_is_read_all_the_same() -> None:
+def test_invalid_utf_8_is_read_all_the_same() -> None:
     assert [message.data for message in Decoder().feed(b"data: \xff\n\n")] == ["\ufffd"]
 
 
 @pytest.mark.parametrize("piece", [b"x" * 4096, b": comment\n" * 400, b"data: 1\n" * 400])
-def test_an_event_without_an_end_is_refused(piece: bytes) -> None:
+def test_event_without_an_end_is_refused(piece: bytes) -> None:
     pieces = [piece] * (2 * MAX_EVENT // len(piece))
     decoder = Decoder()
     with pytest.raises(ProtocolError, match="an event of more than 1 MiB"):

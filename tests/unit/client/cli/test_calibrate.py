@@ -1,62 +1,29 @@
-"""Calibrations through both cameras and the command line."""
+"""Calibrations through the command line."""
 
 from __future__ import annotations
 
-import inspect
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
+from tests.unit.client.conftest import MEASURING, Daemon, problem
 from typer.testing import CliRunner
 
-from veilcam_client import AsyncCamera, CalibrationChanged, Camera
+from veilcam_client import CalibrationChanged
 from veilcam_client.cli import calibrate as command
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.cli.main import app
+from veilcam_client.wire.calibration import EXAMPLES
 from veilcam_client.wire.events import EVENT
 
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon, Problem
-
-pytestmark = pytest.mark.anyio
 runner = CliRunner()
-MEASURING: dict[str, Any] = {
-    "stage": "measuring",
-    "scene": "dark",
-    "instruction": None,
-    "exposures": 10,
-    "total": 330,
-    "detail": None,
-}
 WAITING = {**MEASURING, "stage": "waiting", "scene": "lamp", "instruction": "Put a lamp there."}
 DONE = {**MEASURING, "stage": "done", "scene": None, "exposures": 330}
 FAILED = {**DONE, "stage": "failed", "detail": "too little light: light it"}
 QUANTITY = {"value": 0.00003, "uncertainty": 0.000001, "residual": 0.01}
-SIGNED = {
-    "record": {
-        "taken_at": "2026-01-02T03:04:05Z",
-        "display": "ST7735R",
-        "sensor": "IMX477",
-        "simulated": False,
-        "exposure_s": 0.01,
-        "geometry": "0" * 64,
-        "dead_rows": [20],
-        **dict.fromkeys(
-            (
-                *("settling_s", "black_level", "gain", "full_scale", "gamma", "contrast_floor"),
-                *("dead_transmittance", "shift_y_m", "shift_x_m"),
-                "stray_light",
-                *("rotation_rad", "distance_error_m"),
-            ),
-            QUANTITY,
-        ),
-        "psf_residual": 0.016,
-        "drift": -0.001,
-    },
-    "public_key": "a" * 64,
-    "signature": "b" * 128,
-}
+SIGNED = next(each.signed for each in EXAMPLES if hasattr(each, "signed")).model_dump(mode="json")
+SIGNED["record"].update(dead_rows=[20], drift=-0.001, shift_y_m=QUANTITY)
 
 
 def said(run: dict[str, Any], status: int = 200) -> httpx.Response:
@@ -67,40 +34,13 @@ def looked(run: dict[str, Any] | None, signed: dict[str, Any] | None = None) -> 
     return said({"signed": signed, "run": run})
 
 
-@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-async def test_calibrations_by_both_cameras(daemon: Daemon, kind: type) -> None:
-    client = httpx.Client if kind is Camera else httpx.AsyncClient
-    camera = kind(
-        "http://camera.local:1", http_client=client(transport=httpx.MockTransport(daemon))
-    )
-
-    async def result(answer: Any) -> Any:
-        return await answer if inspect.isawaitable(answer) else answer
-
-    daemon.first = [said(MEASURING, 202), looked(WAITING), said(MEASURING), said(DONE)]
-    assert (await result(camera.start_calibration(repeats=3))).total == 330
-    seen = await result(camera.calibration())
-    assert (seen.signed, seen.run.scene) == (None, "lamp")
-    assert (await result(camera.confirm_scene("lamp"))).stage == "measuring"
-    assert (await result(camera.cancel_calibration())).stage == "done"
-    assert [
-        (request.method, request.url.path, request.content and json.loads(request.content))
-        for request in daemon.requests
-    ] == [
-        ("POST", "/v1/calibration", {"repeats": 3}),
-        ("GET", "/v1/calibration", b""),
-        ("POST", "/v1/calibration/scene", {"scene": "lamp"}),
-        ("DELETE", "/v1/calibration", b""),
-    ]
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.setattr(command, "_EVERY", 0.0)
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) -> None:
+def test_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) -> None:
     daemon.first = [
         said(MEASURING, 202),
         looked(WAITING),
@@ -118,7 +58,7 @@ def test_a_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) ->
 
 
 @pytest.mark.usefixtures("quick")
-def test_the_answer_comes_as_json(daemon: Daemon) -> None:
+def test_calibration_comes_as_json(daemon: Daemon) -> None:
     daemon.first = [said(DONE, 202), looked(DONE, SIGNED)]
     result = runner.invoke(app, ["calibrate", "--json"])
     assert json.loads(result.stdout)["signed"]["record"]["dead_rows"] == [20]
@@ -128,9 +68,7 @@ def test_the_answer_comes_as_json(daemon: Daemon) -> None:
 @pytest.mark.parametrize(
     ("run", "reason"), [(FAILED, "too little light"), ({**DONE, "stage": "cancelled"}, "cancelled")]
 )
-def test_a_calibration_that_failed_is_said(
-    daemon: Daemon, run: dict[str, Any], reason: str
-) -> None:
+def test_calibration_that_failed_is_said(daemon: Daemon, run: dict[str, Any], reason: str) -> None:
     daemon.first = [said(run, 202), looked(run)]
     result = runner.invoke(app, ["calibrate"])
     assert result.exit_code == 7
@@ -139,7 +77,7 @@ def test_a_calibration_that_failed_is_said(
 
 
 @pytest.mark.usefixtures("quick")
-def test_who_goes_away_cancels_it(daemon: Daemon) -> None:
+def test_caller_that_goes_away_cancels_its_calibration(daemon: Daemon) -> None:
     daemon.first = [said(WAITING, 202), said(DONE)]
     result = runner.invoke(app, ["calibrate"], input="")
     assert result.exit_code != 0
@@ -147,8 +85,8 @@ def test_who_goes_away_cancels_it(daemon: Daemon) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> None:
-    daemon.first = [make_problem(409, "calibration_impossible")]
+def test_refusal_cancels_nothing(daemon: Daemon) -> None:
+    daemon.first = [problem(409, "calibration_impossible")]
     assert runner.invoke(app, ["calibrate"]).exit_code == 5
     assert len(daemon.requests) == 1
 
@@ -162,7 +100,7 @@ def test_a_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> Non
         (FAILED, "failed  too little light: light it"),
     ],
 )
-async def test_the_event_in_words(run: dict[str, Any], words: str) -> None:
+def test_calibration_event_in_words(run: dict[str, Any], words: str) -> None:
     told = {"id": "a-1", "at": "2026-01-02T03:04:05Z", "kind": "calibration", "run": run}
     event = EVENT.validate_json(json.dumps(told))
     assert isinstance(event, CalibrationChanged)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import httpx
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.client.conftest import Daemon, events
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -20,9 +18,6 @@ from veilcam_client import __version__
 from veilcam_client.cli.main import app
 from veilcam_client.cli.picture import in_blocks
 from veilcam_client.cli.terminal import EXIT_CODES, FORGED, USAGE
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 PAGE = Path(__file__).resolve().parents[4] / "docs" / "cli.md"
@@ -42,11 +37,11 @@ def test_every_command_speaks_json() -> None:
     assert [name for name, options in commands.items() if "--json" not in options] == []
 
 
-def test_its_version_is_that_of_the_package() -> None:
+def test_version_is_that_of_the_package() -> None:
     assert runner.invoke(app, ["--version"]).stdout == f"veilcam {__version__}\n"
 
 
-def test_the_page_has_the_code_of_every_class_of_errors() -> None:
+def test_page_has_the_code_of_every_class_of_errors() -> None:
     rows = re.findall(r"^\| (\d+) \| `?(\w+)`?", PAGE.read_text(), re.MULTILINE)
     told = {name: int(code) for code, name in rows}
     assert {kind.__name__: code for kind, code in EXIT_CODES}.items() <= told.items()
@@ -54,7 +49,7 @@ def test_the_page_has_the_code_of_every_class_of_errors() -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_capture_becomes_a_picture(tmp_path: Path) -> None:
+def test_capture_becomes_a_picture(tmp_path: Path) -> None:
     out = tmp_path / "e.PNG"
     assert runner.invoke(app, ["capture", "--out", str(out)]).exit_code == 0
     picture = np.asarray(Image.open(out))
@@ -65,28 +60,20 @@ def test_a_capture_becomes_a_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("url")
-def test_what_is_seen_is_drawn_when_it_is_wanted(daemon: Daemon) -> None:
-    base = {"at": "2026-01-02T03:04:05Z"}
-    sent: list[dict[str, object]] = [
-        {"kind": "mask", "epoch": "e1"},
-        {"kind": "seen", "label": "7", "duration_s": 1.0},
-    ]
-    text = "".join(
-        f"event: {each['kind']}\ndata: {json.dumps({**base, 'id': f'b-{n}', **each})}\n\n"
-        for n, each in enumerate(sent)
-    )
-    daemon.first = [httpx.Response(200, text=text)]
+def test_watch_draws_what_is_seen_when_it_is_wanted(daemon: Daemon) -> None:
+    seen = {"kind": "seen", "label": "7", "duration_s": 1.0}
+    daemon.first = [events({"kind": "mask", "epoch": "e1"}, seen)]
     shown = runner.invoke(app, ["watch", "--count", "2", "--picture"], color=True).stdout
-    mask, seen, drawn = shown.splitlines()
+    mask, label, drawn = shown.splitlines()
     assert "e1" in mask
-    assert "7" in seen
+    assert "7" in label
     assert drawn.count("▀") == 3
     assert [request.url.path for request in daemon.requests] == ["/v1/events", "/v1/captures"]
     refused = runner.invoke(app, ["watch", "--picture", "--json"])
     assert refused.exit_code == 2
 
 
-def test_a_drawing_has_two_values_a_character() -> None:
+def test_drawing_has_two_values_a_character() -> None:
     values = np.array([[0.0, 1.0], [2.0, 23.0], [23.0, 0.0]], np.float32)
     assert in_blocks(values) == (
         "\x1b[38;5;232;48;5;234m▀\x1b[38;5;233;48;5;255m▀\x1b[0m\n"

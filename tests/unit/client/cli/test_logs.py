@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from tests.unit.client.logs import Log, answer, capture
+from tests.unit.client.conftest import Daemon
+from tests.unit.client.logs import Log, answer
 from tests.unit.client.sealing import Device
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
 from veilcam_client.wire.log import LogHead, LogRecords
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
 
 runner = CliRunner()
 DEVICE = Device()
@@ -33,7 +30,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("url")
-def test_a_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) -> None:
+def test_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) -> None:
     daemon.first, head = answers(Log(DEVICE)), tmp_path / "head.json"
     fetched = runner.invoke(app, ["log", str(path), "--head", str(head)])
     assert fetched.exit_code == 0
@@ -57,22 +54,8 @@ def test_a_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) 
     assert unnamed.stdout.splitlines()[-1].endswith("give --device to know that it is yours")
 
 
-@pytest.mark.usefixtures("url")
-def test_what_is_new_is_asked_for(daemon: Daemon, path: Path) -> None:
-    log = Log(DEVICE)
-    daemon.first = answers(log)
-    runner.invoke(app, ["log", str(path)])
-    log.append(capture(9))
-    daemon.first = [
-        httpx.Response(200, content=LogRecords(records=(log.records[-1],)).model_dump_json()),
-        *answers(log)[1:],
-    ]
-    assert runner.invoke(app, ["log", str(path)]).exit_code == 0
-    assert daemon.requests[2].url.query == b"limit=1000&after=9"
-    assert len(path.read_bytes().splitlines()) == 11
-
-
-def test_what_does_not_hold_is_told_and_the_exit_code_says_so(path: Path, tmp_path: Path) -> None:
+def test_log_that_does_not_hold_has_its_exit_code(path: Path) -> None:
+    assert runner.invoke(app, ["verify", str(path)]).exit_code == 16
     lines = Log(DEVICE).lines
     path.write_bytes(b"".join(line + b"\n" for line in [*lines[:3], *lines[4:]]))
     verified = runner.invoke(app, ["verify", str(path)])
@@ -85,14 +68,8 @@ def test_what_does_not_hold_is_told_and_the_exit_code_says_so(path: Path, tmp_pa
     assert "device" not in empty.stdout
 
 
-def test_files_that_cannot_be_used_have_a_code_of_their_own(path: Path) -> None:
-    verified = runner.invoke(app, ["verify", str(path)])
-    assert verified.exit_code == 16
-    assert "cannot be read" in verified.stderr
-
-
 @pytest.mark.usefixtures("url")
-def test_a_head_that_cannot_be_written_is_told(daemon: Daemon, path: Path, tmp_path: Path) -> None:
+def test_head_that_cannot_be_written_is_told(daemon: Daemon, path: Path, tmp_path: Path) -> None:
     daemon.first = answers(Log(DEVICE))
     asked = runner.invoke(app, ["log", str(path), "--head", str(tmp_path / "no" / "head")])
     assert asked.exit_code == 2

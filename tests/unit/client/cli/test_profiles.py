@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-from veilcam_client.cli.profiles import environment, profiles_path
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
+from veilcam_client.cli.profiles import profiles_path
 
 runner = CliRunner()
 
@@ -44,9 +41,13 @@ def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
 )
-def test_a_profile_counts_as_a_whole(
-    daemon: Daemon, options: list[str], variables: dict[str, str]
+def test_profile_counts_as_a_whole(
+    daemon: Daemon,
+    options: list[str],
+    variables: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delenv("VEILCAM_TOKEN")
     before = dict(os.environ)
     result = runner.invoke(app, [*options, "status"], env=variables)
     assert result.exit_code == 0, result.output
@@ -54,7 +55,7 @@ def test_a_profile_counts_as_a_whole(
     assert len(daemon.requests) == 1
 
 
-def test_each_camera_is_told_its_own_token(
+def test_camera_is_told_its_own_token(
     elsewhere: Path, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[str | None] = []
@@ -76,7 +77,7 @@ def test_each_camera_is_told_its_own_token(
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_the_token_of_a_profile_goes_to_no_other_camera() -> None:
+def test_token_of_a_profile_goes_to_no_other_camera() -> None:
     result = runner.invoke(app, ["--profile", "hall", "status", "--url", "http://127.0.0.1:2"])
     assert result.exit_code == 2
     assert result.stderr == "veilcam: error: give --url or the profile 'hall', not both\n"
@@ -95,7 +96,7 @@ def test_the_token_of_a_profile_goes_to_no_other_camera() -> None:
         ("colour = 1", "colour: Extra inputs"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
+def test_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
     if text is not None:
         (folder / "config.toml").write_text(text)
     result = runner.invoke(app, ["--profile", "hall", "status"])
@@ -106,17 +107,7 @@ def test_a_file_that_cannot_be_used_is_named(folder: Path, text: str | None, mes
     assert "hidden" not in line
 
 
-def test_the_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_profiles_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.setenv("HOME", "/home/me")
     assert profiles_path() == Path("/home/me/.config/veilcam/config.toml")
-
-
-def test_the_environment_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("VEILCAM_URL", "before")
-    monkeypatch.delenv("VEILCAM_TOKEN", raising=False)
-    with environment({"VEILCAM_URL": None, "VEILCAM_TOKEN": "within"}):
-        assert "VEILCAM_URL" not in os.environ
-        assert os.environ["VEILCAM_TOKEN"] == "within"
-    assert os.environ["VEILCAM_URL"] == "before"
-    assert "VEILCAM_TOKEN" not in os.environ

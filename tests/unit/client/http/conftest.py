@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import httpx
 import pytest
-
-from veilcam_client import Camera
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon
+from tests.unit.client.conftest import Daemon, camera_of, result
 
 
 class Both:
@@ -23,16 +17,8 @@ class Both:
         self.daemon, self.waits = daemon, list[float]()
 
     async def __call__(self, kind: type, ask: Callable[[Any], Any], **options: Any) -> Any:
-        transport = httpx.MockTransport(self.daemon)
-        client = (
-            httpx.Client(transport=transport)
-            if kind is Camera
-            else httpx.AsyncClient(transport=transport)
-        )
         url = options.pop("url", "http://camera.local:1")
-        camera = kind(url, http_client=client, **options)
-        answer = ask(camera)
-        return await answer if inspect.isawaitable(answer) else answer
+        return await result(ask(camera_of(kind, self.daemon, url=url, **options)))
 
 
 @pytest.fixture

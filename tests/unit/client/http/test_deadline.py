@@ -13,6 +13,7 @@ import httpcore
 import httpx
 import pytest
 from benchmarks.client.hostile import KINDS, Hostile, draw
+from tests.unit.client.conftest import result
 
 from veilcam_client import (
     AsyncCamera,
@@ -31,23 +32,18 @@ PATIENT = 60.0
 """Of a client that would wait long for one more byte [s]."""
 
 
-def ask(server: Hostile) -> VeilcamError:
+def ask(server: Hostile, kind: type = Camera) -> VeilcamError:
     """Ask a server that ends only after the call: that it returns at all is the deadline's work."""
-    with (
-        server.serving() as url,
-        Camera(url, timeout=server.deadline, read_timeout=PATIENT) as camera,
-        pytest.raises(VeilcamError) as caught,
-    ):
-        camera.status()
-    return caught.value
 
+    async def status(url: str) -> VeilcamError:
+        camera = kind(url, timeout=server.deadline, read_timeout=PATIENT)
+        with pytest.raises(VeilcamError) as caught:
+            await result(camera.status())
+        await result(camera.close())
+        return caught.value
 
-async def ask_async(server: Hostile) -> VeilcamError:
     with server.serving() as url:
-        async with AsyncCamera(url, timeout=server.deadline, read_timeout=PATIENT) as camera:
-            with pytest.raises(VeilcamError) as caught:
-                await camera.status()
-    return caught.value
+        return asyncio.run(status(url))
 
 
 @pytest.mark.slow
@@ -58,7 +54,7 @@ def test_hostile_servers_hold_nobody_up(*, long_form: bool) -> None:
     assert {server.kind for server in servers} == set(KINDS)
     with ThreadPoolExecutor(8) as pool:
         errors = list(pool.map(ask, servers))
-        errors += pool.map(lambda server: asyncio.run(ask_async(server)), servers)
+        errors += pool.map(lambda server: ask(server, AsyncCamera), servers)
     for server, error in zip(servers * 2, errors, strict=True):
         assert isinstance(error, OUTCOMES), server
         if not server.secure and server.kind.startswith(("dribbles", "falls silent", "silent")):
@@ -67,9 +63,9 @@ def test_hostile_servers_hold_nobody_up(*, long_form: bool) -> None:
 
 @pytest.mark.parametrize("kind", ["100 MB", "100 MB in chunks", "says it is compressed"])
 @pytest.mark.slow
-def test_what_no_daemon_sends_is_not_read_to_its_end(kind: str) -> None:
+def test_endless_answer_is_not_read_to_its_end(kind: str) -> None:
     server = Hostile(kind, deadline=PATIENT, pause=0.01, secure=False)
-    for error in (ask(server), asyncio.run(ask_async(server))):
+    for error in (ask(server), ask(server, AsyncCamera)):
         assert isinstance(error, ProtocolError)
 
 
@@ -80,7 +76,7 @@ def deaf() -> Iterator[str]:
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
-def test_an_upload_that_nobody_reads_ends_too() -> None:
+def test_upload_that_nobody_reads_ends_too() -> None:
     upload = b"x" * 2**24
     with (
         deaf() as url,
@@ -90,7 +86,7 @@ def test_an_upload_that_nobody_reads_ends_too() -> None:
         camera.install_bundle(upload, timeout=0.2)
 
 
-def test_a_socket_is_closed_where_no_time_is_left_for_tls() -> None:
+def test_socket_is_closed_where_no_time_is_left_for_tls() -> None:
     with deaf() as url:
         address = url.removeprefix("http://").split(":")
         stream = _Backend().connect_tcp(address[0], int(address[1]))
@@ -100,7 +96,7 @@ def test_a_socket_is_closed_where_no_time_is_left_for_tls() -> None:
     assert bare.fileno() == -1
 
 
-def test_a_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr("veilcam_client.http.deadline.time.monotonic", lambda: now)
     limit = Limit.of(5.0, until=103.0)
@@ -113,7 +109,7 @@ def test_a_limit_is_a_number_that_knows_its_end(monkeypatch: pytest.MonkeyPatch)
     assert Limit.of(5.0, until=1e9).left() == 5.0
 
 
-def test_a_client_that_was_handed_in_asks_between_two_pieces() -> None:
+def test_client_that_was_handed_in_asks_between_two_pieces() -> None:
     server = Hostile("dribbles a body", deadline=0.1, pause=0.01, secure=False)
     with server.serving() as url, httpx.Client() as client, pytest.raises(RequestTimeoutError):
         Camera(url, http_client=client, timeout=0.1).status()

@@ -6,13 +6,15 @@ import asyncio
 import json
 import socket
 import threading
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from itertools import islice
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import pytest
+from tests.unit.client.conftest import problem
+from tests.unit.client.http.conftest import Both
 
 from veilcam_client import (
     AsyncCamera,
@@ -22,13 +24,10 @@ from veilcam_client import (
     InvalidRequestError,
     ProtocolError,
     UnauthorizedError,
+    VeilcamError,
 )
 from veilcam_client.http.options import STREAM_SILENCE
 from veilcam_client.wire.base import CALL_HEADER
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Problem
-    from tests.unit.client.http.conftest import Both
 
 pytestmark = pytest.mark.anyio
 KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
@@ -63,7 +62,7 @@ async def collect(
 
 
 @KINDS
-async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
+async def test_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
     both.daemon.first = [
         events(event(1), event(2)),
         httpx.ConnectError("restarting"),
@@ -75,7 +74,7 @@ async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: ty
 
 
 @KINDS
-async def test_a_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
+async def test_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("gone")] * 9
     with pytest.raises(ConnectError):
         await both(kind, lambda camera: collect(camera, 1))
@@ -142,7 +141,7 @@ async def test_silence_of_a_stream_is_not_health(
 
 
 @KINDS
-async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
+async def test_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("gone"), events(event(1))]
     with pytest.raises(ConnectError, match="ended the stream"):
         await both(kind, lambda camera: collect(camera, 2, reconnect=False))
@@ -150,7 +149,7 @@ async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, 
 
 
 @KINDS
-async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, kind: type) -> None:
+async def test_events_that_a_daemon_cannot_know_of_are_a_gap(both: Both, kind: type) -> None:
     both.daemon.first = [events(": veilcam events\n\n"), events(), events(event(1)), events()]
     both.daemon.first.append(events(event(2)))
     heard = await both(kind, lambda camera: collect(camera, 4, None))
@@ -159,40 +158,36 @@ async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, ki
     assert resumed == [None, None, None, "b-1", "b-1"]
 
 
+def foreign() -> httpx.Response:
+    answer = events(event(2))
+    answer.headers[CALL_HEADER] = "0" * 32
+    return answer
+
+
 @KINDS
-async def test_a_token_that_ended_ends_the_stream(
-    both: Both, kind: type, make_problem: Problem
+@pytest.mark.parametrize(
+    ("answer", "error", "why"),
+    [
+        (lambda: problem(401, "unauthorized"), UnauthorizedError, "went wrong"),
+        (lambda: problem(422, "invalid_request"), InvalidRequestError, "went wrong"),
+        (lambda: events("event: mask\ndata: {}\n\n"), ProtocolError, "update veilcam"),
+        (foreign, ProtocolError, "answer to another request"),
+    ],
+)
+@pytest.mark.parametrize("first", [[], [event(1)]], ids=["new", "resumed"])
+async def test_refused_stream_says_why(  # noqa: PLR0917 - a table
+    both: Both,
+    kind: type,
+    answer: Callable[[], httpx.Response],
+    error: type[VeilcamError],
+    why: str,
+    first: list[str],
 ) -> None:
-    both.daemon.first = [events(event(1)), make_problem(401, "unauthorized")]
-    with pytest.raises(UnauthorizedError):
+    both.daemon.first = [*(events(each) for each in first), answer()]
+    with pytest.raises(error, match=why):
         await both(kind, lambda camera: collect(camera, 2))
-
-
-@KINDS
-async def test_a_refused_stream_is_the_error_of_its_problem(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    both.daemon.first = [make_problem(422, "invalid_request")]
-    with pytest.raises(InvalidRequestError):
-        await both(kind, lambda camera: collect(camera, 1))
-
-
-@KINDS
-async def test_stream_of_another_call_is_a_protocol_error(both: Both, kind: type) -> None:
-    foreign = events(event(2))
-    foreign.headers[CALL_HEADER] = "0" * 32
-    both.daemon.first = [events(event(1)), foreign]
-    with pytest.raises(ProtocolError, match="answer to another request"):
-        await both(kind, lambda camera: collect(camera, 2))
-    one, two = (request.headers[CALL_HEADER] for request in both.daemon.requests)
-    assert one != two
-
-
-@KINDS
-async def test_an_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
-    both.daemon.first = [events("event: mask\ndata: {}\n\n")]
-    with pytest.raises(ProtocolError, match="update veilcam"):
-        await both(kind, lambda camera: collect(camera, 1))
+    named = [request.headers[CALL_HEADER] for request in both.daemon.requests]
+    assert len(set(named)) == len(named) == 1 + len(first)
 
 
 @pytest.fixture
@@ -217,7 +212,7 @@ def quiet() -> Iterator[tuple[str, threading.Event]]:
         thread.join()
 
 
-def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+def test_stream_may_be_closed_by_another_thread(quiet: tuple[str, threading.Event]) -> None:
     url, listened = quiet
     with Camera(url) as camera, camera.events() as stream:
         heard: list[object] = []
@@ -230,7 +225,7 @@ def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -
         assert heard == []
 
 
-async def test_another_task_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+async def test_stream_may_be_closed_by_another_task(quiet: tuple[str, threading.Event]) -> None:
     url, listened = quiet
     async with AsyncCamera(url) as camera:
         stream = camera.events()

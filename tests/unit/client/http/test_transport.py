@@ -7,12 +7,14 @@ import logging
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from tests.unit.client.conftest import CLASSIFICATION, STATUS
+from tests.unit.client.conftest import CLASSIFICATION, STATUS, Daemon, problem
+from tests.unit.client.http.conftest import Both
+from typer.testing import CliRunner
 
 from veilcam_client import (
     ApiError,
@@ -22,21 +24,20 @@ from veilcam_client import (
     ConnectError,
     DeviceError,
     EverySeconds,
+    ForbiddenError,
     InvalidRequestError,
     LeasedError,
     ProtocolError,
     RequestTimeoutError,
     RotationOff,
     ServerError,
+    UnauthorizedError,
     VeilcamError,
     Watching,
 )
+from veilcam_client.cli.main import app
 from veilcam_client.http.options import RetryPolicy
 from veilcam_client.wire.base import CALL_HEADER
-
-if TYPE_CHECKING:
-    from tests.unit.client.conftest import Daemon, Problem
-    from tests.unit.client.http.conftest import Both
 
 pytestmark = pytest.mark.anyio
 
@@ -44,105 +45,143 @@ pytestmark = pytest.mark.anyio
 KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 
 
+Ask = Callable[[Any], Any]
+AB = "ab" * 32
+ROUTES: list[tuple[Ask, str, Any]] = [
+    (lambda camera: camera.status(), "GET status", None),
+    (lambda camera: camera.diagnostics(), "GET diagnostics", None),
+    (lambda camera: camera.capture(), "POST captures", None),
+    (lambda camera: camera.classify(), "POST classifications", None),
+    (
+        lambda camera: camera.classify(include_embedding=True),
+        *("POST classifications", {"include_embedding": True}),
+    ),
+    (lambda camera: camera.rotation(), "GET rotation", None),
+    (
+        lambda camera: camera.set_rotation(EverySeconds(seconds=7)),
+        *("PUT rotation", {"mode": "seconds", "seconds": 7.0, "jitter": 0.0, "reuse": 0}),
+    ),
+    (lambda camera: camera.set_rotation(RotationOff()), "PUT rotation", {"mode": "off"}),
+    (lambda camera: camera.rotate(), "POST rotation/advance", None),
+    (lambda camera: camera.watch(), "GET watch", None),
+    (
+        lambda camera: camera.set_watch(Watching(rate_hz=2.0)),
+        *("PUT watch", {"mode": "watching", "rate_hz": 2.0, "quiet": None}),
+    ),
+    (lambda camera: camera.receivers(), "GET receivers", None),
+    (
+        lambda camera: camera.add_receiver("archive", "veilcam-receiver:c2VhbGVk"),
+        *("POST receivers", {"label": "archive", "key": "veilcam-receiver:c2VhbGVk"}),
+    ),
+    (lambda camera: camera.remove_receiver(AB), f"DELETE receivers/{AB}", None),
+    (lambda camera: camera.bundles(), "GET bundles", None),
+    (lambda camera: camera.install_bundle(b"[7]"), "POST bundles", [7]),
+    (lambda camera: camera.activate_bundle(AB), f"POST bundles/{AB}/activate", None),
+    (lambda camera: camera.remove_bundle(AB), f"DELETE bundles/{AB}", None),
+    (lambda camera: camera.calibration(), "GET calibration", None),
+    (lambda camera: camera.start_calibration(repeats=3), "POST calibration", {"repeats": 3}),
+    (lambda camera: camera.confirm_scene("lamp"), "POST calibration/scene", {"scene": "lamp"}),
+    (lambda camera: camera.cancel_calibration(), "DELETE calibration", None),
+    (lambda camera: camera.log(), "GET log?limit=1000", None),
+    (lambda camera: camera.log(limit=5, after=0), "GET log?limit=5&after=0", None),
+    (lambda camera: camera.tokens(), "GET tokens?limit=100", None),
+    (lambda camera: camera.tokens(limit=5, after="a&b"), "GET tokens?limit=5&after=a%26b", None),
+    (
+        lambda camera: camera.create_token("a lamp", ["classify"], seconds=60),
+        *("POST tokens", {"label": "a lamp", "scopes": ["classify"], "seconds": 60}),
+    ),
+    (lambda camera: camera.revoke_token("0123456789ab"), "DELETE tokens/0123456789ab", None),
+    (lambda camera: camera.break_lease(), "DELETE lease?force=true", None),
+    (lambda camera: camera.release_lease(), "DELETE lease", None),
+]
+
+
 @KINDS
 async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
-    asks: list[tuple[Callable[[Any], Any], str, str, Any]] = [
-        (lambda camera: camera.status(), "GET", "/v1/status", None),
-        (lambda camera: camera.capture(), "POST", "/v1/captures", None),
-        (lambda camera: camera.classify(), "POST", "/v1/classifications", None),
-        (
-            lambda camera: camera.classify(include_embedding=True),
-            "POST",
-            "/v1/classifications",
-            {"include_embedding": True},
-        ),
-        (lambda camera: camera.rotation(), "GET", "/v1/rotation", None),
-        (
-            lambda camera: camera.set_rotation(EverySeconds(seconds=7)),
-            "PUT",
-            "/v1/rotation",
-            {"mode": "seconds", "seconds": 7.0, "jitter": 0.0, "reuse": 0},
-        ),
-        (
-            lambda camera: camera.set_rotation(RotationOff()),
-            "PUT",
-            "/v1/rotation",
-            {"mode": "off"},
-        ),
-        (lambda camera: camera.rotate(), "POST", "/v1/rotation/advance", None),
-        (lambda camera: camera.watch(), "GET", "/v1/watch", None),
-        (
-            lambda camera: camera.set_watch(Watching(rate_hz=2.0)),
-            "PUT",
-            "/v1/watch",
-            {"mode": "watching", "rate_hz": 2.0, "quiet": None},
-        ),
-        (lambda camera: camera.receivers(), "GET", "/v1/receivers", None),
-        (
-            lambda camera: camera.add_receiver("archive", "veilcam-receiver:c2VhbGVk"),
-            "POST",
-            "/v1/receivers",
-            {"label": "archive", "key": "veilcam-receiver:c2VhbGVk"},
-        ),
-        (
-            lambda camera: camera.remove_receiver("ab" * 32),
-            "DELETE",
-            f"/v1/receivers/{'ab' * 32}",
-            None,
-        ),
-    ]
-    for ask, method, path, body in asks:
-        await both(kind, ask)
-        request = both.daemon.requests[-1]
-        assert (request.method, request.url.path) == (method, path)
+    for ask, route, body in ROUTES:
+        answer = await both(kind, ask)
+        assert answer == await both(Camera, ask)
+        request = both.daemon.requests[-2]
+        method, path = route.split()
+        assert (request.method, request.url.raw_path.decode()) == (method, f"/v1/{path}")
         assert (json.loads(request.content) if request.content else None) == body
-        assert ("idempotency-key" in request.headers) is (method == "POST")
+        # A bundle that is installed twice is installed.
+        once = method == "POST" and path != "bundles"
+        assert ("idempotency-key" in request.headers) is once
+
+
+@KINDS
+async def test_name_stays_one_part_of_the_path(both: Both, kind: type) -> None:
+    asks: dict[str, Ask] = {
+        "/v1/bundles/..%2Fstatus%3Fx/activate": lambda camera: camera.activate_bundle(
+            "../status?x"
+        ),
+        "/v1/tokens/..%2Fstatus%3Fx": lambda camera: camera.revoke_token("../status?x"),
+    }
+    for path, ask in asks.items():
+        with pytest.raises(KeyError):
+            await both(kind, ask)
+        assert both.daemon.requests[-1].url.raw_path.decode() == path
 
 
 @KINDS
 async def test_results_are_typed(both: Both, kind: type) -> None:
-    capture = await both(kind, lambda camera: camera.capture())
-    assert np.asarray(capture).shape == (2, 3)
-    result = await both(kind, lambda camera: camera.classify())
-    assert (result.label, result.confidence) == ("7", 0.9)
-    assert (await both(kind, lambda camera: camera.rotation())).policy.captures == 3
-    receivers = await both(kind, lambda camera: camera.receivers())
-    assert (receivers.device, len(receivers.receivers)) == ("d7" * 32, 2)
-    assert await both(kind, lambda camera: camera.remove_receiver("ab" * 32)) is None
+    assert np.asarray(await both(kind, lambda camera: camera.capture())).shape == (2, 3)
+    active, other = await both(kind, lambda camera: camera.bundles())
+    assert (active.active, active.bundle, other.bundle.task) == (True, None, "fashion")
+    assert await both(kind, lambda camera: camera.remove_receiver(AB)) is None
+    await both(kind, lambda camera: camera.install_bundle(b"bundle"))
+    sent = both.daemon.requests[-1].headers["content-type"]
+    assert sent == "application/vnd.veilcam.bundle"
 
 
 @KINDS
 @pytest.mark.parametrize(
     "case",
     [
-        (409, "rotation_impossible", InvalidRequestError),
-        (422, "invalid_request", InvalidRequestError),
-        (429, "queue_full", BusyError),
-        (503, "sensor_failed", DeviceError),
-        (500, "internal_error", ServerError),
+        (401, "unauthorized", UnauthorizedError, 10),
+        (403, "forbidden", ForbiddenError, 11),
+        (403, "embedding_withheld", InvalidRequestError, 5),
+        (409, "rotation_impossible", InvalidRequestError, 5),
+        (422, "invalid_request", InvalidRequestError, 5),
+        (423, "leased", LeasedError, 12),
+        (429, "queue_full", BusyError, 6),
+        (503, "sensor_failed", DeviceError, 7),
+        (500, "internal_error", ServerError, 8),
     ],
 )
-async def test_a_problem_is_the_error_of_its_status(
-    both: Both, kind: type, case: tuple[int, str, type[ApiError]], make_problem: Problem
+async def test_problem_is_the_error_of_its_status(
+    both: Both,
+    kind: type,
+    case: tuple[int, str, type[ApiError], int],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    status, code, error = case
-    both.daemon.first = [make_problem(status, code)]
-    with pytest.raises(error) as caught:
+    status, code, error, exit_code = case
+    both.daemon.first = [problem(status, code)]
+    with pytest.raises(VeilcamError) as caught:
         await both(kind, lambda camera: camera.capture())
     found = caught.value
+    assert type(found) is error
+    assert isinstance(found, ApiError)
     assert (found.code, found.status, found.request_id) == (code, status, "r1")
     assert not found.retryable
     assert found.errors[0].location == "body.seconds"
-    assert str(found) == f"what went wrong: {code}"
+    assert str(found).startswith(f"what went wrong: {code}")
     assert len(both.daemon.requests) == 1
+
+    def ask(*_: Any, **__: Any) -> None:
+        raise found
+
+    monkeypatch.setattr(Camera, "classify", ask)
+    told = CliRunner().invoke(app, ["classify"])
+    assert told.exit_code == exit_code
+    assert told.stderr == f"veilcam: error: {found} [{code}, request r1]\n"
 
 
 @KINDS
-async def test_what_may_succeed_later_is_repeated_with_the_same_key(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
+async def test_retryable_call_is_repeated_with_the_same_key(both: Both, kind: type) -> None:
     both.daemon.first = [
-        make_problem(503, "sensor_failed", retryable=True, **{"Retry-After": "3"}),
+        problem(503, "sensor_failed", retryable=True, **{"Retry-After": "3"}),
         httpx.ReadTimeout("slow"),
     ]
     assert (await both(kind, lambda camera: camera.capture())).id == "c1"
@@ -156,10 +195,8 @@ async def test_what_may_succeed_later_is_repeated_with_the_same_key(
 
 
 @KINDS
-async def test_call_is_named_anew_for_every_attempt(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    both.daemon.first = [make_problem(503, "sensor_failed", retryable=True)]
+async def test_call_is_named_anew_for_every_attempt(both: Both, kind: type) -> None:
+    both.daemon.first = [problem(503, "sensor_failed", retryable=True)]
     await both(kind, lambda camera: camera.capture())
     await both(kind, lambda camera: camera.status())
     named = [request.headers[CALL_HEADER] for request in both.daemon.requests]
@@ -170,10 +207,10 @@ async def test_call_is_named_anew_for_every_attempt(
 @KINDS
 @pytest.mark.parametrize("status", [200, 401, 503])
 async def test_answer_to_another_call_is_a_protocol_error(
-    both: Both, kind: type, status: int, make_problem: Problem
+    both: Both, kind: type, status: int
 ) -> None:
     for named in ("0" * 32, "", "0" * 31):
-        foreign = make_problem(status, "unauthorized", retryable=True)
+        foreign = problem(status, "unauthorized", retryable=True)
         foreign.headers[CALL_HEADER] = named
         both.daemon.first = [foreign]
         both.daemon.requests.clear()
@@ -183,10 +220,8 @@ async def test_answer_to_another_call_is_a_protocol_error(
 
 
 @KINDS
-async def test_it_gives_up_after_the_retries_it_was_given(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    busy = make_problem(429, "queue_full", retryable=True)
+async def test_retries_end_where_they_were_told_to(both: Both, kind: type) -> None:
+    busy = problem(429, "queue_full", retryable=True)
     for retries in (0, 2, 4):
         both.daemon.first = [busy] * 5
         both.daemon.requests.clear()
@@ -196,10 +231,8 @@ async def test_it_gives_up_after_the_retries_it_was_given(
 
 
 @KINDS
-async def test_a_wait_beyond_all_patience_is_not_waited(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    both.daemon.first = [make_problem(503, "x", retryable=True, **{"Retry-After": "3600"})]
+async def test_wait_beyond_all_patience_is_not_waited(both: Both, kind: type) -> None:
+    both.daemon.first = [problem(503, "x", retryable=True, **{"Retry-After": "3600"})]
     with pytest.raises(DeviceError) as caught:
         await both(kind, lambda camera: camera.capture())
     assert caught.value.retry_after == 3600
@@ -216,7 +249,7 @@ async def test_a_wait_beyond_all_patience_is_not_waited(
         (httpx.ReadTimeout("slow"), RequestTimeoutError),
     ],
 )
-async def test_no_answer_is_an_error_of_the_sdk(
+async def test_missing_answer_is_an_error_of_the_sdk(
     both: Both, kind: type, raised: Exception, error: type[VeilcamError]
 ) -> None:
     both.daemon.first = [raised] * 3
@@ -238,7 +271,7 @@ async def test_no_answer_is_an_error_of_the_sdk(
         (302, "", {"Location": "http://elsewhere"}),
     ],
 )
-async def test_what_is_no_veilcamd_is_a_protocol_error(
+async def test_foreign_server_is_a_protocol_error(
     both: Both, kind: type, answer: tuple[int, str, dict[str, str]]
 ) -> None:
     status, text, headers = answer
@@ -248,33 +281,7 @@ async def test_what_is_no_veilcamd_is_a_protocol_error(
     assert len(both.daemon.requests) == 1
 
 
-@KINDS
-async def test_timeouts_reach_the_transport(both: Both, kind: type) -> None:
-    await both(kind, lambda camera: camera.status(), connect_timeout=1.5, read_timeout=9.0)
-    timeout = both.daemon.requests[-1].extensions["timeout"]
-    assert (timeout["connect"], timeout["read"]) == (1.5, 9.0)
-
-
-@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"url": "ftp://camera"}, "use http://HOST:PORT or unix:///PATH"),
-        ({"url": "localhost:8787"}, "use http://HOST:PORT"),
-        ({"url": "unix://relative/path"}, "use http"),
-        ({"url": "http://camera?token=1"}, "use http"),
-        ({"connect_timeout": 0.0}, "connect_timeout = 0.0 s"),
-        ({"timeout": 0.0}, r"timeout = 0.0 s is not valid: use > 0, or None"),
-        ({"device": "ab" * 32}, "give key= as well"),
-        ({"read_timeout": float("nan")}, "read_timeout = nan s"),
-    ],
-)
-def test_bad_arguments_are_named(kind: type, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        kind(**options)
-
-
-def test_a_client_that_was_handed_in_stays_open(daemon: Daemon) -> None:
+def test_client_that_was_handed_in_stays_open(daemon: Daemon) -> None:
     client = httpx.Client(transport=httpx.MockTransport(daemon))
     with Camera(http_client=client) as camera:
         camera.status()
@@ -294,7 +301,7 @@ def test_waits_are_fully_jittered_and_bounded() -> None:
 
 
 @KINDS
-async def test_a_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
+async def test_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
     both.daemon.first = [httpx.ConnectError("refused")] * 9
     with pytest.raises(ConnectError):
         await both(kind, lambda camera: camera.status(timeout=1e-9), max_retries=9)
@@ -307,19 +314,18 @@ async def test_a_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
 
 
 @KINDS
-async def test_a_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
+async def test_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
     for timeout, longest in ((None, 9.0), (60.0, 9.0), (4.0, 4.0), (0.5, 0.5)):
-        await both(kind, lambda camera: camera.status(), read_timeout=9.0, timeout=timeout)
+        waits = {"connect_timeout": 1.5, "read_timeout": 9.0, "timeout": timeout}
+        await both(kind, lambda camera: camera.status(), **waits)
         asked = both.daemon.requests[-1].extensions["timeout"]
-        assert min(2.0, longest) - 0.4 < asked["connect"] <= min(2.0, longest)
+        assert min(1.5, longest) - 0.4 < asked["connect"] <= min(1.5, longest)
         assert longest - 0.4 < asked["read"] <= longest
 
 
 @KINDS
-async def test_another_holder_is_told_of_at_once_unless_waited_for(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    held = make_problem(423, "leased", retryable=True, **{"Retry-After": "20"})
+async def test_lease_of_another_is_told_at_once_unless_waited_for(both: Both, kind: type) -> None:
+    held = problem(423, "leased", retryable=True, **{"Retry-After": "20"})
     both.daemon.first = [held]
     with pytest.raises(LeasedError) as caught:
         await both(kind, lambda camera: camera.capture())
@@ -327,30 +333,24 @@ async def test_another_holder_is_told_of_at_once_unless_waited_for(
     assert (both.waits, len(both.daemon.requests)) == ([], 1)
     both.daemon.first = [held] * 5
     both.daemon.requests.clear()
-    capture = await both(
-        kind, lambda camera: camera.capture(wait=math.inf, timeout=0.5), max_retries=0
-    )
-    assert capture.id == "c1"
+    ask = lambda camera: camera.capture(wait=math.inf, timeout=0.5)  # noqa: E731
+    assert (await both(kind, ask, max_retries=0)).id == "c1"
     assert len(both.daemon.requests) == 6
     assert all(0.5 <= pause <= 1 for pause in both.waits)
     assert len({request.headers["idempotency-key"] for request in both.daemon.requests}) == 1
 
 
 @KINDS
-async def test_patience_with_another_holder_ends(
-    both: Both, kind: type, make_problem: Problem
-) -> None:
-    both.daemon.first = [make_problem(423, "leased", retryable=True, **{"Retry-After": "20"})] * 9
+async def test_patience_with_another_holder_ends(both: Both, kind: type) -> None:
+    both.daemon.first = [problem(423, "leased", retryable=True, **{"Retry-After": "20"})] * 9
     for ask in (lambda camera: camera.classify(wait=0), lambda camera: camera.rotate(wait=1e-9)):
         with pytest.raises(LeasedError):
             await both(kind, ask)
     assert sum(both.waits) <= 1e-9
-    with pytest.raises(ValueError, match=r"wait = -1 s is not valid"):
-        await both(kind, lambda camera: camera.rotate(wait=-1))
 
 
 @KINDS
-async def test_a_raw_answer_names_its_request(both: Both, kind: type) -> None:
+async def test_raw_answer_names_its_request(both: Both, kind: type) -> None:
     both.daemon.first = [
         httpx.ConnectError("refused"),
         httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
@@ -365,7 +365,7 @@ async def test_a_raw_answer_names_its_request(both: Both, kind: type) -> None:
 
 
 @KINDS
-async def test_a_base_with_its_version_is_understood(both: Both, kind: type) -> None:
+async def test_base_with_its_version_is_understood(both: Both, kind: type) -> None:
     for base in ("http://camera.local/v1", "http://camera.local/v1/", "http://camera.local/"):
         await both(kind, lambda camera: camera.status(), url=base)
     both.daemon.first = [httpx.Response(200, json=STATUS)]
@@ -377,7 +377,7 @@ async def test_a_base_with_its_version_is_understood(both: Both, kind: type) -> 
 
 
 @KINDS
-async def test_the_address_stands_in_the_environment(
+async def test_address_stands_in_the_environment(
     both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VEILCAM_URL", "http://elsewhere:7")
@@ -385,9 +385,8 @@ async def test_the_address_stands_in_the_environment(
     await both(kind, lambda camera: camera.status(), url="http://here:8")
     monkeypatch.setenv("VEILCAM_URL", "")
     await both(kind, lambda camera: camera.status(), url=None)
-    assert [request.url.host for request in both.daemon.requests] == [
-        *("elsewhere", "here", "127.0.0.1")
-    ]
+    hosts = [request.url.host for request in both.daemon.requests]
+    assert hosts == ["elsewhere", "here", "127.0.0.1"]
 
 
 @KINDS
@@ -409,7 +408,7 @@ async def test_repetitions_are_logged_and_secrets_are_not(
 
 
 @pytest.mark.parametrize("asked", ["debug", "info", ""])
-def test_the_environment_says_what_is_logged(
+def test_environment_says_what_is_logged(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: str
 ) -> None:
     fresh = logging.Logger("veilcam")

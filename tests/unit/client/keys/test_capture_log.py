@@ -69,7 +69,7 @@ def classification(**others: Any) -> Classification:
     return Classification(**{**said, "label": "7", **others})
 
 
-def test_what_is_signed_is_this_text_and_no_other() -> None:
+def test_signed_text_is_this_and_no_other() -> None:
     signed = []
 
     class Signer(Device):
@@ -96,7 +96,7 @@ def test_what_is_signed_is_this_text_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.kind)
-def test_a_record_is_one_line_and_no_other_text_is_it(entry: Entry) -> None:
+def test_record_is_one_line_and_no_other_text_is_it(entry: Entry) -> None:
     made = record(Device(), entry)
     line = line_of(made)
     assert read_line(line) == made
@@ -128,7 +128,7 @@ def test_every_bit_of_a_record_counts(entry: Entry, *, long_form: bool) -> None:
             continue
 
 
-def test_every_field_of_a_head_is_signed() -> None:
+def test_every_field_of_a_head_is_signed_and_no_record_passes_for_one() -> None:
     device = Device()
     head = sign_head(device, position=5, record="4d" * 32, oldest=1, missed=2, at=AT)
     assert is_genuine(head)
@@ -142,15 +142,13 @@ def test_every_field_of_a_head_is_signed() -> None:
         {"signature": "0" * 128},
     ):
         assert not is_genuine(head.model_copy(update=change)), change
-
-
-def test_a_record_passes_for_no_head_and_none_for_another_devices() -> None:
-    device = Device()
-    head = sign_head(device, position=5, record="4d" * 32, oldest=1, missed=0, at=AT)
     made = record(device)
-    assert not is_genuine(made.model_copy(update={"signature": head.signature}))
-    assert not is_genuine(made.model_copy(update={"device": Device().public}))
-    assert not is_genuine(made.model_copy(update={"device": "ff" * 32}))  # no point of the curve
+    for change in (
+        {"signature": head.signature},
+        {"device": Device().public},
+        {"device": "ff" * 32},  # no point of the curve
+    ):
+        assert not is_genuine(made.model_copy(update=change)), change
 
 
 @pytest.mark.parametrize(
@@ -161,17 +159,14 @@ def test_a_record_passes_for_no_head_and_none_for_another_devices() -> None:
         AT.astimezone(timezone(timedelta(hours=1))),
     ],
 )
-def test_times_are_whole_seconds_of_utc(at: datetime) -> None:
+def test_times_of_records_are_whole_seconds_of_utc_and_ages_steps(at: datetime) -> None:
     with pytest.raises(ValidationError, match="whole second of UTC"):
         LogStopped(at=at)
-
-
-def test_the_age_of_a_test_comes_in_steps() -> None:
     with pytest.raises(ValidationError):
         LoggedCapture(**{**dict(CAPTURE), "tested_s": 119})
 
 
-def test_an_answer_is_known_again_and_every_part_of_it_counts() -> None:
+def test_answer_is_known_again_and_every_part_of_it_counts() -> None:
     embedding = Embedding.from_array(np.arange(6, dtype=np.float32).reshape(2, 3), form="raw")
     answer = classification(scores={"7": 0.5, "1": 0.5}, confidence=0.5, embedding=embedding)
     digest = answer_digest(answer)
@@ -195,9 +190,17 @@ def test_an_answer_is_known_again_and_every_part_of_it_counts() -> None:
         )
     ]
     assert len({digest, *map(answer_digest, changed)}) == 12
+    told: dict[str, Any] = {
+        "id": ID,
+        "epoch": "9f" * 16,
+        "number": 3,
+        "taken_at": AT,
+        "embedding": embedding,
+    }
+    assert answer_digest(Capture(**told)) != answer_digest(classification(embedding=embedding))
 
 
-def test_an_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
+def test_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
     """Ten labels are soon tried: what is not known is the id alone."""
     digest = answer_digest(classification())
     guesses = {answer_digest(classification(label=str(label), id="0" * 48)) for label in range(10)}
@@ -205,14 +208,11 @@ def test_an_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
     assert 4 * (ID_DIGITS - 16) == 128  # beyond what events tell of an id
     with pytest.raises(ValueError, match="hides nothing"):
         answer_digest(classification(id=ID[:16]))
-
-
-def test_an_opened_answer_is_not_what_left() -> None:
     with pytest.raises(ValueError, match="was opened"):
         answer_digest(classification(notes=NOTES))
 
 
-def test_a_calibration_is_named_by_all_that_it_says() -> None:
+def test_calibration_is_named_by_all_that_it_says() -> None:
     [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
     assert signed is not None
     again = signed.model_validate_json(signed.model_dump_json())
@@ -220,7 +220,7 @@ def test_a_calibration_is_named_by_all_that_it_says() -> None:
     assert calibration_digest(signed) == calibration_digest(again) != calibration_digest(other)
 
 
-def test_a_commitment_is_the_hmac_of_the_levels_under_the_epochs_own_key() -> None:
+def test_commitment_is_the_hmac_of_the_levels_under_the_epochs_own_key() -> None:
     key = EpochKey(bytes(range(32)), device="d7" * 32, bundle=BUNDLE)
     expected = hmac.digest(key.commitment(), bytes(range(12)), "sha256").hex()
     assert mask_commitment(key, LEVELS) == expected
@@ -229,21 +229,10 @@ def test_a_commitment_is_the_hmac_of_the_levels_under_the_epochs_own_key() -> No
         mask_commitment(key, LEVELS.astype(np.int64))
 
 
-def test_who_has_the_epochs_key_finds_the_mask_and_nobody_else() -> None:
+def test_logged_mask_is_found_with_the_epochs_key_alone() -> None:
     key, other = (EpochKey.generate(device="d7" * 32, bundle=BUNDLE) for _ in range(2))
     masks = [LEVELS, LEVELS + 1, LEVELS + 2]
     entry = CAPTURE.model_copy(update={"mask": mask_commitment(key, LEVELS + 1)})
     assert logged_mask(entry, key, masks) == 1
     assert logged_mask(entry, key, masks[:1]) is None
     assert logged_mask(entry, other, masks) is None
-
-
-def test_a_mask_that_comes_again_cannot_be_told_from_another() -> None:
-    keys = [EpochKey.generate(device="d7" * 32, bundle=BUNDLE) for _ in range(20)]
-    assert len({mask_commitment(key, LEVELS) for key in keys}) == 20
-
-
-def test_answers_of_both_kinds_are_bound() -> None:
-    embedding = Embedding.from_array(np.zeros((2, 3), np.float32), form="white")
-    capture = Capture(id=ID, epoch="9f" * 16, number=3, taken_at=AT, embedding=embedding)
-    assert answer_digest(capture) != answer_digest(classification(embedding=embedding))

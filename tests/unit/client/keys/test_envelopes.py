@@ -45,14 +45,14 @@ def test_every_receiver_opens_it_and_nobody_else(
         open_key(envelope, receiver, device="ab" * 32)
 
 
-def test_what_is_signed_is_one_text() -> None:
+def test_signed_text_is_canonical() -> None:
     assert canonical("a", 1, ["b"]) == b'["a",1,["b"]]'
     ids = ["b" * 64, "a" * 64]
     told = hashlib.sha256(f"{ids[1]}\n{ids[0]}".encode()).hexdigest()
     assert receivers_digest(ids) == receivers_digest(reversed(ids)) == told
 
 
-def test_an_envelope_is_what_its_format_says(
+def test_envelope_is_what_its_format_says(
     key: EpochKey, device: Device, receiver: ReceiverKey
 ) -> None:
     """Checked and opened here by the standards alone, as another implementation would."""
@@ -71,9 +71,7 @@ def test_an_envelope_is_what_its_format_says(
     assert held.receiver == hashlib.sha256(receiver.public.raw).hexdigest()
 
 
-def test_a_changed_envelope_is_refused(
-    key: EpochKey, device: Device, receiver: ReceiverKey
-) -> None:
+def test_changed_envelope_is_refused(key: EpochKey, device: Device, receiver: ReceiverKey) -> None:
     envelope = sealed(key, device, receiver, ReceiverKey.generate())
     other = sealed(key, device, receiver)
     for change in (
@@ -89,7 +87,7 @@ def test_a_changed_envelope_is_refused(
             open_key(changed, receiver, device=None)
 
 
-def test_what_a_device_seals_wrongly_does_not_open(
+def test_wrongly_sealed_key_does_not_open(
     key: EpochKey, device: Device, receiver: ReceiverKey
 ) -> None:
     """Signed, but sealed under another context: to other receivers, or of another epoch."""
@@ -108,7 +106,7 @@ def test_what_a_device_seals_wrongly_does_not_open(
             open_key(forged, receiver, device=None)
 
 
-def test_one_to_eight_receivers_each_once(
+def test_envelope_has_one_to_eight_receivers_each_once(
     key: EpochKey, device: Device, receiver: ReceiverKey
 ) -> None:
     with pytest.raises(ValueError, match="0 receivers are not valid: use 1 to 8"):
@@ -133,7 +131,7 @@ def test_one_to_eight_receivers_each_once(
         ("keys", [{"receiver": "0f" * 32, "key": "c2Vhb GVk"}]),
     ],
 )
-def test_an_envelope_has_one_text(
+def test_envelope_has_one_text(
     key: EpochKey, device: Device, receiver: ReceiverKey, name: str, text: object
 ) -> None:
     told = json.loads(sealed(key, device, receiver).model_dump_json())
@@ -141,7 +139,7 @@ def test_an_envelope_has_one_text(
         Envelope.model_validate_json(json.dumps({**told, name: text}))
 
 
-def test_an_erased_key_is_not_sealed(key: EpochKey, device: Device, receiver: ReceiverKey) -> None:
+def test_erased_key_is_not_sealed(key: EpochKey, device: Device, receiver: ReceiverKey) -> None:
     key.erase()
     with pytest.raises(ValueError, match="was erased"):
         sealed(key, device, receiver)

@@ -26,7 +26,7 @@ def found(lines: list[bytes], **others: Any) -> list[str]:
     return [str(each) for each in examine(content(lines), **others).findings]
 
 
-def test_a_whole_log_holds() -> None:
+def test_whole_log_holds() -> None:
     examined = examine(content(LINES), device=DEVICE.public, head=LOG.log_head(), answer=answer(3))
     assert examined == Examination(
         device=DEVICE.public,
@@ -43,27 +43,14 @@ def test_a_whole_log_holds() -> None:
     )
 
 
-def test_where_the_camera_dropped_the_oldest_a_log_may_begin() -> None:
-    assert found(LINES[2:]) == []
-    assert examine(content(LINES[2:])).first == 2
-    assert found(LINES[1:]) == [
-        "record 1, line 1: record 0 is missing before it, and no record says that the camera "
-        "dropped them"
-    ]
-    assert found(LINES[3:]) == [
-        "record 3, line 1: records 0 to 2 are missing before it, and no record says that the "
-        "camera dropped them"
-    ]
-
-
 @pytest.mark.parametrize("after", ["cut", "damage", "loss"])
-def test_what_the_camera_says_is_missing_is_told(after: Any) -> None:
+def test_start_after_a_loss_is_told(after: Any) -> None:
     said = examine(content(Log(DEVICE, (LogStarted(at=AT, after=after),)).lines)).said
     assert len(said) == 1
     assert said[0].startswith("record 0: the ")
 
 
-def test_an_empty_file_is_no_log() -> None:
+def test_empty_file_is_no_log() -> None:
     examined = examine(b"")
     assert [str(each) for each in examined.findings] == ["there is no record"]
     assert (examined.device, examined.first, examined.records) == (None, None, 0)
@@ -78,7 +65,7 @@ def test_an_empty_file_is_no_log() -> None:
         (lambda line: line[:-4] + b'0"}', "this is no record"),
     ],
 )
-def test_a_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong: str) -> None:
+def test_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong: str) -> None:
     lines = [*LINES[:2], change(LINES[2]), *LINES[3:]]
     [finding] = examine(content(lines)).findings
     assert finding.line == 3
@@ -86,74 +73,87 @@ def test_a_changed_record_is_named_once(change: Callable[[bytes], bytes], wrong:
     assert finding.wrong == f"{wrong}: it was changed"
 
 
-def test_a_missing_record_is_named() -> None:
-    assert found([*LINES[:4], *LINES[5:]]) == ["record 5, line 5: record 4 is missing before it"]
-    assert found([*LINES[:4], *LINES[7:]]) == [
-        "record 7, line 5: records 4 to 6 are missing before it"
-    ]
+DROPPED = "missing before it, and no record says that the camera dropped them"
+OTHER = Log(DEVICE, (*LIFE[:4], LogGap(answers=1), *LIFE[5:])).lines
+FORGED = LINES[8].replace(b'"before":2', b'"before":3')
 
 
-def test_records_that_changed_places_are_named() -> None:
-    swapped = [*LINES[:3], LINES[4], LINES[3], *LINES[5:]]
-    assert found(swapped) == [
-        "record 4, line 4: record 3 is missing before it",
-        "record 3, line 5: it stands behind record 4",
-        "record 5, line 6: record 4 is missing before it",
-    ]
-    assert found([*LINES[:4], LINES[3], *LINES[4:]]) == [
-        "record 3, line 5: it stands behind record 3"
-    ]
+@pytest.mark.parametrize(
+    ("lines", "findings"),
+    [
+        (LINES[2:], []),
+        (LINES[1:], [f"record 1, line 1: record 0 is {DROPPED}"]),
+        (LINES[3:], [f"record 3, line 1: records 0 to 2 are {DROPPED}"]),
+        (LINES[:-1], []),
+        ([*LINES[:4], *LINES[5:]], ["record 5, line 5: record 4 is missing before it"]),
+        ([*LINES[:4], *LINES[7:]], ["record 7, line 5: records 4 to 6 are missing before it"]),
+        (
+            [*LINES[:3], LINES[4], LINES[3], *LINES[5:]],
+            [
+                "record 4, line 4: record 3 is missing before it",
+                "record 3, line 5: it stands behind record 4",
+                "record 5, line 6: record 4 is missing before it",
+            ],
+        ),
+        ([*LINES[:4], *LINES[3:]], ["record 3, line 5: it stands behind record 3"]),
+        (
+            [*LINES[:5], *OTHER[5:]],
+            ["record 5, line 6: it follows from another record 4 than the one before it"],
+        ),
+        (
+            [line_of(sign_record(DEVICE, 0, "ab" * 32, LogDropped(before=0)))],
+            ["record 0, line 1: it names one before, and there is none before position 0"],
+        ),
+        (
+            # Only what the device signed says that it dropped records.
+            [*LINES[3:8], FORGED, LINES[9]],
+            [
+                f"record 3, line 1: records 0 to 2 are {DROPPED}",
+                "record 8, line 6: the device did not sign this: it was changed",
+            ],
+        ),
+    ],
+)
+def test_record_that_is_missing_misplaced_or_foreign_is_named(
+    lines: list[bytes], findings: list[str]
+) -> None:
+    assert found(lines) == findings
 
 
-def test_a_record_that_the_device_signed_in_another_log_is_found() -> None:
-    other = Log(DEVICE, (*LIFE[:4], LogGap(answers=1), *LIFE[5:])).lines
-    assert found([*LINES[:5], *other[5:]]) == [
-        "record 5, line 6: it follows from another record 4 than the one before it"
-    ]
-    record = sign_record(DEVICE, 0, "ab" * 32, LogDropped(before=0))
-    assert found([line_of(record)]) == [
-        "record 0, line 1: it names one before, and there is none before position 0"
-    ]
-
-
-def test_another_device_signs_nothing_here() -> None:
+def test_record_of_another_device_is_found() -> None:
     other, stranger = Device(), Log(Device())
-    assert len(found(LINES, device=other.public)) == 10
-    assert found(LINES, device=other.public)[0] == (
+    told = found(LINES, device=other.public)
+    assert len(told) == 10
+    assert told[0] == (
         f"record 0, line 1: it is of device {DEVICE.public[:12]}, not {other.public[:12]}"
     )
     mixed = found([*LINES[:9], stranger.lines[9]])
     assert mixed[0].startswith(f"record 9, line 10: it is of device {stranger.device.public[:12]}")
 
 
-def test_a_dropped_record_counts_where_the_device_signed_it() -> None:
-    forged = LINES[8].replace(b'"before":2', b'"before":3')
-    assert len(found([*LINES[3:8], forged, LINES[9]])) == 2
+@pytest.mark.parametrize("cut", [1, 5])
+def test_half_a_last_line_is_found(cut: int) -> None:
+    assert examine(content(LINES)[:-cut]).findings == [Finding("it is cut off", 10)]
 
 
-def test_half_a_last_line_is_found() -> None:
-    examined = examine(content(LINES)[:-5])
-    assert examined.findings == [Finding("it is cut off", 10)]
-    assert examine(content(LINES)[:-1]).findings == [Finding("it is cut off", 10)]
-
-
-def test_without_a_head_the_newest_may_be_missing_and_with_it_not() -> None:
-    assert found(LINES[:-1]) == []
+def test_newest_record_may_be_missing_without_a_head_alone() -> None:
     head = LOG.log_head()
     assert found(LINES[:-1], head=head) == ["head: record 9 is missing at the end of the file"]
-    [wrong] = found(LINES[:7], head=head)
-    assert wrong == "head: records 7 to 9 are missing at the end of the file"
+    told = ["head: records 7 to 9 are missing at the end of the file"]
+    assert found(LINES[:7], head=head) == told
 
 
-def test_an_earlier_head_holds_as_long_as_its_record_is_there() -> None:
+def test_earlier_head_holds_as_long_as_its_record_is_there() -> None:
     earlier = Log(DEVICE, LIFE[:2]).log_head()
     assert found(LINES, head=earlier) == []
-    examined = examine(content(LINES[2:]), head=earlier)
-    assert examined.findings == []
-    assert examined.said[-1] == "head: it is of record 1, before the first of the file"
+    assert found(LINES[2:], head=earlier) == []
+    said = examine(content(LINES[2:]), head=earlier).said
+    assert said[-1] == "head: it is of record 1, before the first of the file"
+    told = examine(content(LINES), head=LOG.log_head(missed=3)).said
+    assert told[-1] == "head: 3 answers more have no record"
 
 
-def test_a_head_of_another_log_is_found() -> None:
+def test_head_of_another_log_is_found() -> None:
     forked = Log(DEVICE, (*LIFE[:-1], LogStopped(at=AT)))
     [wrong] = found(LINES, head=forked.log_head())
     assert wrong.startswith("head: it names another record 9: the log was changed, or the camera's")
@@ -164,12 +164,7 @@ def test_a_head_of_another_log_is_found() -> None:
     assert found([], head=LOG.log_head())[0] == "there is no record"
 
 
-def test_what_a_head_says_is_told() -> None:
-    said = examine(content(LINES), head=LOG.log_head(missed=3)).said
-    assert said[-1] == "head: 3 answers more have no record"
-
-
-def test_an_answer_is_found_or_not() -> None:
+def test_answer_is_found_or_not() -> None:
     assert examine(content(LINES), answer=answer(4)).answer == 9
     assert found(LINES, answer=answer(5)) == ["answer: no record is of it"]
     other = answer(4).model_copy(update={"label": "7"})

@@ -16,7 +16,7 @@ from veilcam_client.errors import KeyFileError
 from veilcam_client.keys.receivers import PRIVATE_BYTES, PUBLIC_BYTES, Receiver, ReceiverKey
 
 
-def test_what_is_sealed_to_the_public_half_opens_with_the_private_one(
+def test_public_half_seals_what_the_private_one_opens(
     receiver: ReceiverKey,
 ) -> None:
     sealed = receiver.public.seal(bytearray(b"secret"), b"info")
@@ -34,7 +34,7 @@ def test_what_is_sealed_to_the_public_half_opens_with_the_private_one(
             key.open(text, info)
 
 
-def test_a_line_names_a_receiver(receiver: ReceiverKey) -> None:
+def test_line_names_a_receiver(receiver: ReceiverKey) -> None:
     line = str(receiver.public)
     assert line.startswith("veilcam-receiver:")
     assert Receiver.parse(line) == receiver.public
@@ -42,7 +42,7 @@ def test_a_line_names_a_receiver(receiver: ReceiverKey) -> None:
     assert receiver.public.id != ReceiverKey.generate().public.id
 
 
-def test_what_is_no_receiver_is_refused(receiver: ReceiverKey) -> None:
+def test_invalid_receiver_is_refused(receiver: ReceiverKey) -> None:
     raw = receiver.public.raw
     for text in (
         "",
@@ -60,7 +60,7 @@ def test_what_is_no_receiver_is_refused(receiver: ReceiverKey) -> None:
         Receiver(b"12345")
 
 
-def test_a_file_keeps_the_private_half(receiver: ReceiverKey, tmp_path: Path) -> None:
+def test_file_keeps_the_private_half(receiver: ReceiverKey, tmp_path: Path) -> None:
     path = tmp_path / "key"
     receiver.write(path)
     assert path.stat().st_mode & 0o777 == 0o600
@@ -69,7 +69,7 @@ def test_a_file_keeps_the_private_half(receiver: ReceiverKey, tmp_path: Path) ->
     assert again.open(receiver.public.seal(b"secret", b""), b"") == b"secret"
 
 
-def test_a_key_is_never_overwritten(receiver: ReceiverKey, tmp_path: Path) -> None:
+def test_key_is_never_overwritten(receiver: ReceiverKey, tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_text("mine")
     with pytest.raises(KeyFileError, match="exists and was left alone"):
@@ -92,9 +92,7 @@ def test_half_a_key_is_not_left_behind(
     receiver.write(tmp_path / "key")
 
 
-def test_a_file_that_is_no_key_of_ones_own_is_refused(
-    receiver: ReceiverKey, tmp_path: Path
-) -> None:
+def test_file_that_is_no_key_of_ones_own_is_refused(receiver: ReceiverKey, tmp_path: Path) -> None:
     path = tmp_path / "key"
     receiver.write(path)
     text = path.read_text()
@@ -113,7 +111,7 @@ def test_a_file_that_is_no_key_of_ones_own_is_refused(
         ReceiverKey.read(tmp_path)
 
 
-def test_it_shows_nowhere(receiver: ReceiverKey) -> None:
+def test_private_key_shows_nowhere(receiver: ReceiverKey) -> None:
     assert repr(receiver) == f"ReceiverKey(public={receiver.public.id[:16]})"
     for leak in (pickle.dumps, copy.copy, copy.deepcopy):
         with pytest.raises(TypeError, match="not pickled"):

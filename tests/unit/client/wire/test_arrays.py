@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 from pydantic import ValidationError
+from tests.unit.client.conftest import CAPTURE, CLASSIFICATION, STATUS
 from tests.unit.client.sealing import Device, Epoch
 
 from veilcam_client import ProtocolError, SealedError, VeilcamError
@@ -25,11 +26,11 @@ VALUES = np.random.default_rng(0).normal(size=(3, 4, 5)).astype(np.float32)
 
 
 @pytest.fixture
-def capture(answers: dict[str, Any]) -> Capture:
-    return Capture.model_validate_json(json.dumps(answers["capture"]))
+def capture() -> Capture:
+    return Capture.model_validate_json(json.dumps(CAPTURE))
 
 
-def test_an_embedding_is_an_array(capture: Capture) -> None:
+def test_embedding_is_an_array(capture: Capture) -> None:
     array = np.asarray(capture)
     assert array.dtype == np.float32
     assert array.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.5]]
@@ -40,7 +41,7 @@ def test_an_embedding_is_an_array(capture: Capture) -> None:
     assert np.asarray(capture)[0, 0] == 0
 
 
-def test_without_a_copy_it_is_the_one_that_came(capture: Capture) -> None:
+def test_array_without_a_copy_is_the_one_that_came(capture: Capture) -> None:
     for held in (np.array(capture, copy=False), np.array(capture, np.float32, copy=False)):
         assert held.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.5]]
         assert not held.flags.writeable
@@ -48,7 +49,7 @@ def test_without_a_copy_it_is_the_one_that_came(capture: Capture) -> None:
         np.array(capture, np.float64, copy=False)
 
 
-def test_an_embedding_has_a_length_rows_and_an_index() -> None:
+def test_embedding_has_a_length_rows_and_an_index() -> None:
     embedding = Embedding.from_array(VALUES, form="white")
     assert len(embedding) == 3
     assert np.array_equal(embedding[1], VALUES[1])
@@ -76,17 +77,16 @@ def test_embeddings_are_equal_where_all_of_them_is() -> None:
         assert embedding != other
 
 
-def test_what_is_no_array_says_so(answers: dict[str, Any]) -> None:
-    classification = Classification.model_validate_json(json.dumps(answers["classification"]))
+def test_answer_without_an_array_says_so() -> None:
+    classification = Classification.model_validate_json(json.dumps(CLASSIFICATION))
     with pytest.raises(VeilcamError, match="ask with include_embedding=True") as caught:
         np.asarray(classification)
     assert caught.value.code == "no_embedding"
-    with_it = classification.model_copy(
-        update={"embedding": Embedding.from_array(VALUES, form="raw")}
-    )
+    embedding = Embedding.from_array(VALUES, form="raw")
+    with_it = classification.model_copy(update={"embedding": embedding})
     assert np.array_equal(np.asarray(with_it), VALUES)
     with pytest.raises(TypeError, match="a Status is no array"):
-        np.asarray(Status.model_validate_json(json.dumps(answers["status"])))
+        np.asarray(Status.model_validate_json(json.dumps(STATUS)))
     sealed = Epoch(Device(), ReceiverKey.generate()).capture(0)
     for answer in (sealed, sealed.embedding, with_it.model_copy(update=dict(sealed))):
         with pytest.raises(SealedError, match="private key of a receiver"):
@@ -94,11 +94,6 @@ def test_what_is_no_array_says_so(answers: dict[str, Any]) -> None:
     # A capture that cannot be opened is one all the same.
     assert sealed
     assert classification
-
-
-def test_float32_survives_the_wire_exactly() -> None:
-    sent = Embedding.from_array(VALUES, form="white").model_dump_json()
-    assert np.array_equal(np.asarray(Embedding.model_validate_json(sent)), VALUES)
 
 
 @pytest.mark.parametrize(
@@ -116,12 +111,12 @@ def test_float32_survives_the_wire_exactly() -> None:
         '{"shape": [1], "values": [1.0]}',
     ],
 )
-def test_an_embedding_that_cannot_be_is_refused(text: str) -> None:
+def test_embedding_that_cannot_be_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):
         Embedding.model_validate_json(text)
 
 
-def test_an_embedding_is_not_in_the_repr(capture: Capture) -> None:
+def test_embedding_is_not_in_the_repr(capture: Capture) -> None:
     assert "5.5" not in repr(capture)
 
 
@@ -131,13 +126,13 @@ def npy(values: npt.NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def test_an_answer_is_an_array_to_numpy_by_one_way_alone(capture: Capture) -> None:
+def test_answer_is_an_array_to_numpy_by_one_way_alone(capture: Capture) -> None:
     assert not hasattr(capture, "__array_struct__")
     assert not hasattr(capture.embedding, "__array_interface__")
     assert not hasattr(capture, "unknown")
 
 
-def test_an_answer_that_is_no_capture_comes_as_no_array() -> None:
+def test_answer_that_is_no_capture_comes_as_no_array() -> None:
     named = {**HEADERS, "content-type": "application/x-npy"}
     assert read(Capture, Received(200, named, WHOLE)).number == 2
     with pytest.raises(ProtocolError, match="no Classification"):
@@ -145,7 +140,7 @@ def test_an_answer_that_is_no_capture_comes_as_no_array() -> None:
 
 
 @pytest.mark.parametrize("shape", [(1,), (7,), (24, 32), (2, 3, 4), (1, 1, 1, 1)])
-def test_a_numpy_file_is_read_as_numpy_does(shape: tuple[int, ...]) -> None:
+def test_numpy_file_is_read_as_numpy_does(shape: tuple[int, ...]) -> None:
     values = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     assert np.array_equal(npy_array(npy(values)), np.load(io.BytesIO(npy(values))))
     assert npy_array(npy(values)).shape == shape
@@ -158,18 +153,15 @@ WHOLE = npy(VALUES)
     "content",
     [
         *(b"", b"{}", WHOLE[:-1], WHOLE[:-4], WHOLE + b"\0\0\0\0", WHOLE[:100]),
-        *(
-            npy(VALUES.astype(np.float64)),
-            npy(VALUES.astype(">f4")),
-            npy(np.asfortranarray(VALUES)),
-        ),
+        *(npy(VALUES.astype(kind)) for kind in ("<f8", ">f4")),
+        npy(np.asfortranarray(VALUES)),
         WHOLE.replace(b"(3, 4, 5)", b"(9, 9, 9)"),
         WHOLE.replace(b"(3, 4, 5)", b"(3, 4 5) "),
         WHOLE.replace(b"'<f4'", b"'|O8'"),
         npy(np.array([None])),
     ],
 )
-def test_any_other_file_is_refused(content: bytes) -> None:
+def test_other_file_than_an_array_is_refused(content: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011 - of whatever is wrong first
         npy_array(content)
 
@@ -183,7 +175,7 @@ HEADERS = {
 }
 
 
-def test_a_capture_comes_as_a_file_as_well(capture: Capture) -> None:
+def test_capture_comes_as_a_file_as_well(capture: Capture) -> None:
     content = npy(np.asarray(capture))
     assert Capture.from_npy(content, HEADERS) == capture
     replayed = {**HEADERS, "veilcam-replay": "3", "veilcam-replay-capture": "c0"}
@@ -200,7 +192,7 @@ def test_a_capture_comes_as_a_file_as_well(capture: Capture) -> None:
         {"veilcam-replay": "3"},
     ],
 )
-def test_a_file_with_other_headers_is_refused(changed: dict[str, str]) -> None:
+def test_file_with_other_headers_is_refused(changed: dict[str, str]) -> None:
     with pytest.raises(ValueError):  # noqa: PT011 - of whatever is wrong first
         Capture.from_npy(npy(VALUES), {**HEADERS, **changed})
     with pytest.raises(ValueError):  # noqa: PT011
@@ -211,7 +203,7 @@ def opened(png: bytes) -> npt.NDArray[np.uint8]:
     return np.asarray(Image.open(io.BytesIO(png)))
 
 
-def test_a_picture_goes_from_black_to_white() -> None:
+def test_picture_goes_from_black_to_white() -> None:
     values = np.linspace(-2, 5, 24 * 32, dtype=np.float32).reshape(24, 32)
     embedding = Embedding.from_array(values, form="raw")
     pixels = opened(embedding._repr_png_())

@@ -35,7 +35,7 @@ NIGHT = QuietHours(begin="22:00", end="07:00")
         ("1/h", SLOWEST),
     ],
 )
-def test_a_rate_is_a_number_in_a_time(text: str, rate: float) -> None:
+def test_rate_is_a_number_in_a_time(text: str, rate: float) -> None:
     assert parse_rate(text) == pytest.approx(rate, rel=1e-12)
     assert Watching(rate_hz=parse_rate(text)).rate_hz == parse_rate(text)
 
@@ -48,7 +48,7 @@ def test_a_rate_is_a_number_in_a_time(text: str, rate: float) -> None:
         *("nan/s", "inf/s", "٢/s", "1.2345/s", "20000/h", ".5/s", "2./s"),
     ],
 )
-def test_anything_else_is_no_rate(text: str) -> None:
+def test_invalid_rate_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is no rate: use 2/s"):
         parse_rate(text)
 
@@ -70,23 +70,12 @@ def test_hours_are_two_times_of_day(text: str, hours: QuietHours) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        *(
-            "",
-            "22",
-            "22-",
-            "-7",
-            "22-24",
-            "24-7",
-            "22:60-7",
-            "22:5-7",
-            "22 - 7",
-            "22-7\n",
-            "22-7-8",
-        ),
+        *("", "22", "22-", "-7", "22-24", "24-7", "22:60-7", "22:5-7", "22 - 7", "22-7\n"),
+        "22-7-8",
         *("7-7", "07:00-7", "2200-0700", "٢-7", "22:00:00-7"),
     ],
 )
-def test_anything_else_are_no_hours(text: str) -> None:
+def test_invalid_hours_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"are no hours: use 22-7|is no time at all"):
         parse_hours(text)
 
@@ -125,6 +114,6 @@ def test_policies_survive_the_wire(policy: WatchPolicy) -> None:
         '{"mode": "sometimes"}',
     ],
 )
-def test_what_cannot_be_is_refused(text: str) -> None:
+def test_impossible_watch_policy_is_refused(text: str) -> None:
     with pytest.raises(ValidationError):
         WATCH_POLICY.validate_json(text)
