@@ -241,10 +241,11 @@ def test_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Monkey
     draw_chart([], chart)
 
 
-@pytest.mark.thorough
-def test_forty_plans_are_honest() -> None:
-    """Of the command's thousand the first forty."""
-    results = [judge(seed) for seed in range(40)]
+@pytest.mark.slow
+@pytest.mark.long
+def test_plans_are_honest(*, long_form: bool) -> None:
+    """Of the command's thousand the first eight, or the first forty."""
+    results = [judge(seed) for seed in range(40 if long_form else 8)]
     found = figures_of(results)
     assert found["oracle_honest_fraction"] >= 0.95
     assert found["oracle_worst_reached_ratio"] <= 3
