@@ -22,7 +22,6 @@ from veilcam_client.wire.events import BundleChanged
 from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good, note_start
 from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
-from veilcam_server.daemon import build_service
 from veilcam_server.errors import (
     BundleOlderError,
     BundleStoreError,
@@ -356,33 +355,6 @@ def test_what_is_remembered() -> None:
     assert Owners().remember(info, Used(2, 3, "b")) == Used(4, 3, "b")
     assert OWNERS.remember(info, Used(2, 3, "b")) == Used(4, 4, "a")
     assert OWNERS.remember(info, Used(9, 9, "b")) == Used(4, 9, "b")
-
-
-@pytest.mark.slow
-def test_a_daemon_wants_its_owner_s_bundle(
-    tmp_path: Path, bundle_file: Path, scene_file: Path
-) -> None:
-    owners = tmp_path / "owners"
-    owners.write_text(f"{OWNER}\n")
-    settings = Settings(
-        device="simulated",
-        bundle=bundle_file,
-        scenes=(str(scene_file),),
-        state_dir=tmp_path / "state",
-        owner_keys=owners,
-    )
-    with pytest.raises(StartError, match=r"^this bundle is not signed: this camera takes [^\n]*$"):
-        build_service(settings)
-    for version in (2, 5):
-        sign_bundle(bundle_file, version, KEY)
-        service = build_service(settings)
-        try:
-            assert service.status().bundle.version == version
-        finally:
-            service.stop()
-    sign_bundle(bundle_file, 4, KEY)
-    with pytest.raises(StartError, match="version 5 was in use already"):
-        build_service(settings)
 
 
 def test_an_older_one_is_never_taken_from_owners() -> None:

@@ -12,8 +12,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
 from tests.app.server.security.test_tls import write_pair
-from tests.unit.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
 
 from veilcam_server.gate import entrance
 from veilcam_server.gate.entrance import Entrance, WaitingRoom

@@ -6,7 +6,7 @@ import asyncio
 import socket
 
 import pytest
-from tests.unit.server.gate.conftest import (
+from tests.app.server.gate.conftest import (
     POST,
     REQUEST,
     SLOW,
