@@ -72,7 +72,7 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.thorough
-def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> None:
+def test_requests_that_reach_the_application(options: list[str], tmp_path: Path) -> None:
     """An upgrade, a stranger's word for who asks, and a stream whose head alone is wanted."""
     with (
         daemon(tmp_path / "log", "--port", "0", *options) as (_, url),
@@ -91,7 +91,7 @@ def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> Non
 
 
 @pytest.mark.thorough
-def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
+def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
     log = tmp_path / "log"
     with daemon(log, "--port", "0", *options) as (process, url), Camera(url) as camera:
         status = camera.status()
@@ -180,7 +180,7 @@ def _check_no_secrets(text: bytes, bundle: Bundle) -> None:
 
 
 @pytest.mark.thorough
-def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
+def test_unix_socket(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "v.sock"
     left_behind = socket.socket(socket.AF_UNIX)
     left_behind.bind(str(path))
@@ -237,7 +237,7 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
 
 
 @pytest.mark.thorough
-def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
+def test_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
     """No secret and no receiver; then a receiver, and an end that nobody was told of."""
     log, state = tmp_path / "log", tmp_path / "state"
     options = [
@@ -283,7 +283,7 @@ def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_p
 
 
 @pytest.mark.thorough
-def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
+def test_daemon_looks_by_itself_and_stays_off_when_switched_off(
     options: list[str], tmp_path: Path
 ) -> None:
     """Over a kill, too; and no panel was open for a self test meanwhile."""

@@ -19,7 +19,7 @@ runner = CliRunner()
 
 
 @pytest.mark.thorough
-def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
+def test_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = runner.invoke(
         app,
@@ -38,7 +38,7 @@ def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_the_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> None:
+def test_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = runner.invoke(
         app,
@@ -54,7 +54,7 @@ def test_the_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> Non
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_fresh_demo_refuses_pairs(bundle_file: Path) -> None:
+def test_fresh_demo_refuses_pairs(bundle_file: Path) -> None:
     result = runner.invoke(app, ["demo", "--fresh", "--bundle", str(bundle_file)])
     assert result.exit_code == 1
     assert "holds pairs: give a bundle of mode 'fresh'" in result.stderr
@@ -68,7 +68,7 @@ def test_the_fresh_demo_refuses_pairs(bundle_file: Path) -> None:
         (["--captures", "5001"], "holds 5000 digits"),
     ],
 )
-def test_what_is_missing_is_named(bundle_file: Path, options: list[str], message: str) -> None:
+def test_missing_input_is_named(bundle_file: Path, options: list[str], message: str) -> None:
     result = runner.invoke(app, ["demo", "--bundle", str(bundle_file), *options])
     assert result.exit_code == 1
     assert message in result.stderr
@@ -76,7 +76,7 @@ def test_what_is_missing_is_named(bundle_file: Path, options: list[str], message
 
 
 @pytest.mark.thorough
-def test_a_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Path) -> None:
+def test_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Path) -> None:
     from veilcam_server.demo.daemon import running
 
     with (

@@ -81,9 +81,7 @@ HIDE_NOTHING = {
 
 
 @pytest.mark.parametrize("name", HIDE_NOTHING)
-def test_a_mask_that_hides_nothing_is_refused(
-    shipped: Bundle, check: HidingCheck, name: str
-) -> None:
+def test_mask_that_hides_nothing_is_refused(shipped: Bundle, check: HidingCheck, name: str) -> None:
     with pytest.raises(
         BundleRevealsError, match=r"^mask 0 hides nothing \(\w+: 0\.\d\d of a random mask's, "
     ) as caught:
@@ -96,7 +94,7 @@ def test_a_mask_that_hides_nothing_is_refused(
 
 
 @pytest.mark.parametrize("path", [BUNDLE, FRESH], ids=["pairs", "fresh"])
-def test_what_comes_along_hides(path: Path) -> None:
+def test_bundles_that_come_along_hide(path: Path) -> None:
     bundle = read_bundle(path)
     HidingCheck(bundle)(bundle)
 
@@ -114,7 +112,7 @@ def test_masks_that_a_key_draws_hide_whatever_the_embedding(
     HidingCheck(bundle)(bundle)
 
 
-def test_a_rule_that_draws_masks_which_hide_nothing_is_refused() -> None:
+def test_rule_that_draws_masks_which_hide_nothing_is_refused() -> None:
     bundle = read_bundle(FRESH)
     assert bundle.fresh is not None
     uniform = MaskDistribution.uniform(bundle.camera)
@@ -129,7 +127,7 @@ def test_a_rule_that_draws_masks_which_hide_nothing_is_refused() -> None:
             HidingCheck(bundle)(dataclasses.replace(bundle, fresh=fresh))
 
 
-def test_the_floors_are_those_of_the_documents() -> None:
+def test_floors_are_those_of_the_documents() -> None:
     text = (Path(__file__).resolve().parents[4] / "docs" / "bundle.md").read_text()
     for name, least in dataclasses.asdict(LEAST).items():
         assert re.search(rf"(?m)^\| `{name}` \| .* \| {least:g} \|$", text), name

@@ -28,7 +28,7 @@ from veilcam_training.bundle import Bundle
         ("fresh", "white", "white", "white"),
     ],
 )
-def test_how_embeddings_leave(
+def test_embeddings_leave_in_the_form_of_mode_setting_and_receivers(
     bundle: Bundle,
     fresh_bundle: Bundle,
     tmp_path: Path,
@@ -61,7 +61,7 @@ def test_embeddings_stay_sealed_where_the_receivers_are_lost(
     assert terms() == Terms("sealed")
 
 
-def test_when_masks_change(bundle: Bundle, fresh_bundle: Bundle) -> None:
+def test_masks_change_by_setting_or_mode(bundle: Bundle, fresh_bundle: Bundle) -> None:
     made = Settings(bundle=Path("x"))
     assert rotation_policy(made, bundle) == EveryCaptures(captures=10)
     assert rotation_policy(made, fresh_bundle) == EveryCaptures(captures=1)
@@ -69,7 +69,7 @@ def test_when_masks_change(bundle: Bundle, fresh_bundle: Bundle) -> None:
     assert rotation_policy(often, fresh_bundle) == EverySeconds(seconds=3)
 
 
-def test_a_lone_mask_is_not_served_unasked(bundle: Bundle) -> None:
+def test_lone_mask_is_not_served_unasked(bundle: Bundle) -> None:
     lone = dataclasses.replace(bundle, pairs=bundle.pairs[:1])
     made = Settings(bundle=Path("x"))
     with pytest.raises(StartError, match=r"one mask only, which never changes: .* --rotation-off"):

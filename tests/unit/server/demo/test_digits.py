@@ -45,7 +45,7 @@ def test_bad_digit_files_are_refused(tmp_path: Path) -> None:
         load_digits(copy)
 
 
-def test_the_sample_is_whole() -> None:
+def test_sample_is_whole() -> None:
     digits = load_digits()
     assert digits.images.shape == (5000, 28, 28)
     counts = np.bincount(digits.labels, minlength=10)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @pytest.mark.slow
 @pytest.mark.numerical
-def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
+def test_observer_knows_every_mask(bundle: Bundle) -> None:
     light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
     observer, digits = PairObserver(bundle), load_digits()
     generator = torch.Generator().manual_seed(0)
@@ -43,7 +43,7 @@ def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
 
 
 @pytest.mark.numerical
-def test_the_observer_with_a_key_draws_the_mask_of_an_envelope(
+def test_observer_with_a_key_draws_the_mask_of_an_envelope(
     fresh_bundle: Bundle,
 ) -> None:
     receiver, bundle = ReceiverKey.generate(), "0f" * 32
@@ -61,7 +61,7 @@ def test_the_observer_with_a_key_draws_the_mask_of_an_envelope(
         assert np.array_equal(observer.levels(number), mask.levels)
 
 
-def test_a_long_table_is_cut_short() -> None:
+def test_long_table_is_cut_short() -> None:
     def sample(number: int) -> Sample:
         return Sample(f"{number:032}", number, True, settle=0, capture=0, rest=0)
 
@@ -70,7 +70,7 @@ def test_a_long_table_is_cut_short() -> None:
     assert "and 7 more" in list(table.columns[0].cells)
 
 
-def test_the_tally_counts() -> None:
+def test_tally_counts() -> None:
     def sample(epoch: str, mask: int, right: bool) -> Sample:
         return Sample(epoch, mask, right, settle=0.1, capture=0.02, rest=0.004)
 
@@ -80,7 +80,7 @@ def test_the_tally_counts() -> None:
     assert list(tally.table().columns[-1].cells) == ["4.0"] * 3
 
 
-def test_a_drawn_block_shows_every_byte() -> None:
+def test_drawn_block_shows_every_byte() -> None:
     block = bytes(range(256)) * 5 + b"\7"
     for shape in ((24, 32), (3, 4), (4, 3), (1, 1)):
         drawn = draw_block(block, shape)
@@ -90,7 +90,7 @@ def test_a_drawn_block_shows_every_byte() -> None:
         assert math.isclose(drawn.shape[0] / drawn.shape[1], shape[0] / shape[1], rel_tol=0.05)
 
 
-def test_a_drawn_mask_shows_levels_filters_and_dead_space(bundle: Bundle) -> None:
+def test_drawn_mask_shows_levels_filters_and_dead_space(bundle: Bundle) -> None:
     rows, columns = bundle.camera.mask_shape
     levels = np.zeros((rows, columns), np.uint8)
     levels[1, 2] = 63

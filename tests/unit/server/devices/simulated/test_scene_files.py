@@ -69,7 +69,7 @@ def test_files_and_folders_in_their_order(tmp_path: Path, folder: Path) -> None:
     assert levels(tmp_path, one, folder) == [8, 1, 2, 3]
 
 
-def test_a_data_set_is_its_validation_part_unless_it_is_said(tmp_path: Path, mnist: Path) -> None:
+def test_data_set_is_its_validation_part_unless_it_is_said(tmp_path: Path, mnist: Path) -> None:
     validation = levels(tmp_path, f"mnist:{mnist}")
     assert len(validation) == 2
     assert max(validation) < 20
@@ -93,7 +93,7 @@ def test_colour_of_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert scene.read().sum() == pytest.approx(middle.sum())
 
 
-def test_what_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Path) -> None:
+def test_scene_that_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Path) -> None:
     (tmp_path / "empty").mkdir()
     (folder / "bad.png").write_text("no image")
     for name, reason in (
@@ -110,7 +110,7 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Pat
         open_scenes(settings(tmp_path, "/not/there.png"), SHAPE)
 
 
-def test_the_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VEILCAM_DEVICE", "simulated")
     for value, expected in (
         ("mnist:data/mnist", ("mnist:data/mnist",)),
