@@ -26,6 +26,8 @@ LOADED = (
     ("veilcam_training.experiments.fit", "fit"),
 )
 """Functions that start a daemon or a fit, where their module is loaded at all."""
+FAKE = "veilcam_server.testing.fake_camera"
+"""Module of the camera for tests, which is a whole daemon."""
 
 
 def refuse(name: str) -> Callable[..., NoReturn]:
@@ -38,9 +40,13 @@ def refuse(name: str) -> Callable[..., NoReturn]:
 
 
 @pytest.fixture(autouse=True)
-def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     for owner, name in REFUSED:
         monkeypatch.setattr(owner, name, refuse(name))
     for module, name in LOADED:
         if module in sys.modules:
-            monkeypatch.setattr(sys.modules[module], name, refuse(f"{module}.{name}"))
+            refused, original = refuse(f"{module}.{name}"), getattr(sys.modules[module], name)
+            # Also where a test or the camera for tests imported it by its name.
+            for each in (sys.modules[module], request.module, sys.modules.get(FAKE)):
+                if getattr(each, name, None) is original:
+                    monkeypatch.setattr(each, name, refused)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import json
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -21,7 +19,6 @@ from typing import TYPE_CHECKING
 import httpx
 import numpy as np
 import pytest
-import safetensors.numpy
 from typer.testing import CliRunner
 
 from veilcam_client import (
@@ -30,7 +27,6 @@ from veilcam_client import (
     DeviceError,
     EveryCaptures,
     EverySeconds,
-    RotationOff,
     VeilcamError,
     Watching,
     WatchOff,
@@ -39,17 +35,9 @@ from veilcam_client.cli.main import app as client_cli
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.events import Classified, MaskChanged
-from veilcam_server.bundles.loader import release_terms, rotation_policy
 from veilcam_server.cli.main import app
-from veilcam_server.daemon import build_service
-from veilcam_server.demo_data import DIGITS, load_digits
-from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_server.errors import StartError
-from veilcam_server.masks.source import Terms
-from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.audit import DONE
-from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
@@ -84,7 +72,7 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.thorough
-def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> None:
+def test_requests_that_reach_the_application(options: list[str], tmp_path: Path) -> None:
     """An upgrade, a stranger's word for who asks, and a stream whose head alone is wanted."""
     with (
         daemon(tmp_path / "log", "--port", "0", *options) as (_, url),
@@ -103,7 +91,7 @@ def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> Non
 
 
 @pytest.mark.thorough
-def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
+def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
     log = tmp_path / "log"
     with daemon(log, "--port", "0", *options) as (process, url), Camera(url) as camera:
         status = camera.status()
@@ -192,7 +180,7 @@ def _check_no_secrets(text: bytes, bundle: Bundle) -> None:
 
 
 @pytest.mark.thorough
-def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
+def test_unix_socket(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "v.sock"
     left_behind = socket.socket(socket.AF_UNIX)
     left_behind.bind(str(path))
@@ -249,7 +237,7 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
 
 
 @pytest.mark.thorough
-def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
+def test_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
     """No secret and no receiver; then a receiver, and an end that nobody was told of."""
     log, state = tmp_path / "log", tmp_path / "state"
     options = [
@@ -295,7 +283,7 @@ def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_p
 
 
 @pytest.mark.thorough
-def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
+def test_daemon_looks_by_itself_and_stays_off_when_switched_off(
     options: list[str], tmp_path: Path
 ) -> None:
     """Over a kill, too; and no panel was open for a self test meanwhile."""
@@ -321,218 +309,3 @@ def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
             time.sleep(0.1)
         process.send_signal(signal.SIGTERM)
         assert process.wait(300) == 0
-
-
-def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:
-    held = {"scenes": (str(scene),), "state_dir": tmp_path / "st"}
-    given = {"device": "simulated", "bundle": bundle, **held}
-    return Settings(**{**given, **more})  # type: ignore[arg-type]
-
-
-def truncated(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-200])
-
-
-def unknown(path: Path) -> None:
-    path.write_bytes(b"PNG or anything else")
-
-
-def missing(path: Path) -> None:
-    path.unlink()
-
-
-@pytest.mark.parametrize(
-    ("damage", "reason"),
-    [(truncated, "truncated"), (unknown, "not a whole bundle"), (missing, "no such file")],
-)
-def test_a_bad_bundle_is_refused(
-    tmp_path: Path, bundle_file: Path, scene_file: Path, damage: object, reason: str
-) -> None:
-    assert callable(damage)
-    damage(bundle_file)
-    with pytest.raises(StartError, match=reason) as caught:
-        build_service(settings(tmp_path, bundle_file, scene_file))
-    assert "\n" not in str(caught.value)
-
-
-def test_a_bundle_with_nan_weights_is_refused(
-    tmp_path: Path, bundle_file: Path, scene_file: Path
-) -> None:
-    import hashlib
-    import json
-    import zipfile
-
-    # Rebuilt with digests that fit, as somebody would who means it.
-    with zipfile.ZipFile(bundle_file) as archive:
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    weights = {k: v.copy() for k, v in safetensors.numpy.load(parts["weights.safetensors"]).items()}
-    weights["pair.1.0.weight"][0, 0] = np.nan
-    parts["weights.safetensors"] = safetensors.numpy.save(weights)
-    manifest = json.loads(parts["bundle.json"])
-    manifest["parts"]["weights.safetensors"] = hashlib.sha256(
-        parts["weights.safetensors"]
-    ).hexdigest()
-    parts["bundle.json"] = json.dumps(manifest).encode()
-    with zipfile.ZipFile(bundle_file, "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(name, data)
-    with pytest.raises(StartError, match="NaN"):
-        build_service(settings(tmp_path, bundle_file, scene_file))
-
-
-@pytest.mark.slow
-def test_a_missing_scene_is_refused(tmp_path: Path, bundle_file: Path) -> None:
-    with pytest.raises(StartError, match=r"there is no scene file .* 'veilcamd show'"):
-        build_service(settings(tmp_path, bundle_file, tmp_path / "nothing.npy"))
-
-
-def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_file: Path) -> None:
-    given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
-    with pytest.raises(StartError, match=r"--panel-tab red, black or green, .* --simulate"):
-        build_service(given)
-    service = build_service(
-        given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
-    )
-    status = service.status()
-    assert (status.state, status.remedy, status.device.simulated) == ("safe", "run_doctor", False)
-    reason = r"/dev/spidev9.9 cannot be opened|spidev is not installed"
-    assert re.search(reason, status.detail or "")
-    with pytest.raises(DisplayError, match=reason):
-        service.stop()
-
-
-@pytest.mark.slow
-def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
-    tmp_path: Path, bundle: Bundle, bundle_file: Path, scene_file: Path
-) -> None:
-    from veilcam_training.bundle import write_bundle
-
-    service = build_service(settings(tmp_path, bundle_file, scene_file, wrong_classifier=True))
-    assert service.status().experiment == "wrong-classifier"
-    service.stop()
-    lone = tmp_path / "lone.veilcam"
-    write_bundle(lone, dataclasses.replace(bundle, pairs=bundle.pairs[:1]))
-    with pytest.raises(StartError, match="two or more pairs"):
-        build_service(settings(tmp_path, lone, scene_file, wrong_classifier=True))
-
-
-@pytest.mark.slow
-def test_rotation_of_a_lone_pair_is_refused_at_the_start(
-    tmp_path: Path, bundle: Bundle, scene_file: Path
-) -> None:
-    from veilcam_training.bundle import write_bundle
-
-    lone = tmp_path / "lone.veilcam"
-    write_bundle(lone, dataclasses.replace(bundle, pairs=bundle.pairs[:1]))
-    rotation = EveryCaptures(captures=3)
-    with pytest.raises(StartError, match="one pair only"):
-        build_service(settings(tmp_path, lone, scene_file, rotation=rotation))
-
-
-@pytest.mark.parametrize(
-    ("mode", "given", "form", "paired"),
-    [
-        ("pairs", None, "none", "sealed"),
-        ("fresh", None, "white", "sealed"),
-        ("pairs", "raw", "raw", "raw"),
-        ("pairs", "sealed", "sealed", "sealed"),
-        ("fresh", "none", "none", "none"),
-        ("fresh", "white", "white", "white"),
-    ],
-)
-def test_how_embeddings_leave(
-    bundle: Bundle,
-    fresh_bundle: Bundle,
-    tmp_path: Path,
-    *,
-    mode: str,
-    given: str | None,
-    form: str,
-    paired: str,
-) -> None:
-    chosen = bundle if mode == "pairs" else fresh_bundle
-    made = Settings.model_validate({"bundle": "x", "release": given, "raw_budget": 1})
-    store = ReceiverStore(tmp_path)
-    terms = release_terms(made, chosen, store)
-    assert terms() == Terms(form)  # type: ignore[arg-type]
-    receiver = ReceiverKey.generate().public
-    added = store.add("archive", receiver)
-    assert terms() == Terms(paired, (receiver,))  # type: ignore[arg-type]
-    store.remove(added.id)
-    assert terms().form == form
-
-
-def test_embeddings_stay_sealed_where_the_receivers_are_lost(
-    fresh_bundle: Bundle, tmp_path: Path
-) -> None:
-    """A fault of the disk must not let them out in another form."""
-    ReceiverStore(tmp_path).add("archive", ReceiverKey.generate().public)
-    for end in ("", ".copy"):
-        (tmp_path / f"receivers.json{end}").write_bytes(b"")
-    terms = release_terms(Settings(bundle=Path("x")), fresh_bundle, ReceiverStore(tmp_path))
-    assert terms() == Terms("sealed")
-
-
-def test_forms_that_are_not_served(tmp_path: Path, bundle_file: Path, scene_file: Path) -> None:
-    with pytest.raises(StartError, match="--release white needs the scene statistics"):
-        build_service(settings(tmp_path, bundle_file, scene_file, release="white"))
-    with pytest.raises(StartError, match="say with --raw-budget N how many"):
-        build_service(settings(tmp_path, bundle_file, scene_file, release="raw"))
-
-
-def test_when_masks_change(bundle: Bundle, fresh_bundle: Bundle) -> None:
-    made = Settings(bundle=Path("x"))
-    assert rotation_policy(made, bundle) == EveryCaptures(captures=10)
-    assert rotation_policy(made, fresh_bundle) == EveryCaptures(captures=1)
-    often = made.model_copy(update={"rotation": EverySeconds(seconds=3)})
-    assert rotation_policy(often, fresh_bundle) == EverySeconds(seconds=3)
-
-
-def test_a_lone_mask_is_not_served_unasked(bundle: Bundle) -> None:
-    lone = dataclasses.replace(bundle, pairs=bundle.pairs[:1])
-    made = Settings(bundle=Path("x"))
-    with pytest.raises(StartError, match=r"one mask only, which never changes: .* --rotation-off"):
-        rotation_policy(made, lone)
-    asked = made.model_copy(update={"rotation": RotationOff()})
-    assert rotation_policy(asked, lone) == RotationOff()
-    simulated = made.model_copy(update={"device": "simulated"})
-    assert rotation_policy(simulated, lone) == RotationOff()
-
-
-@pytest.mark.slow
-def test_a_start_that_fails_leaves_nothing_locked(
-    tmp_path: Path, bundle_file: Path, scene_file: Path
-) -> None:
-    missing = tmp_path / "nothing.npy"
-    for _ in range(2):
-        with pytest.raises(StartError, match="there is no scene file"):
-            build_service(settings(tmp_path, bundle_file, missing))
-    build_service(settings(tmp_path, bundle_file, scene_file)).stop()
-
-
-def test_show_holds_a_digit_up(tmp_path: Path) -> None:
-    scene = tmp_path / "deep" / "scene.npy"
-    result = runner.invoke(app, ["show", "--scene", str(scene), "--digit", "7"])
-    assert result.exit_code == 0
-    index = int(re.findall(r"held-out digit (\d+)", result.stdout)[0])
-    digits = load_digits()
-    assert digits.labels[index] == 7
-    assert np.array_equal(np.load(scene), digits.images[index])
-    runner.invoke(app, ["show", "--scene", str(scene), "--index", "3"])
-    assert np.array_equal(np.load(scene), digits.images[3])
-    result = runner.invoke(app, ["show", "--scene", str(scene), "--index", "5000"])
-    assert result.exit_code == 1
-    assert "there are 5000 digits" in result.stderr
-
-
-def test_bad_digit_files_are_refused(tmp_path: Path) -> None:
-    copy = tmp_path / "digits.npz"
-    with pytest.raises(StartError, match="there is no digit file"):
-        load_digits(copy)
-    shutil.copy(DIGITS, copy)
-    copy.write_bytes(copy.read_bytes()[:5000])
-    with pytest.raises(StartError, match="truncated or damaged"):
-        load_digits(copy)
-    np.savez(copy, images=np.zeros((2, 28, 28)), labels=np.zeros(2, np.uint8))
-    with pytest.raises(StartError, match="uint8"):
-        load_digits(copy)

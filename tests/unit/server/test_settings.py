@@ -37,7 +37,7 @@ def test_other_machines_are_served_with_tls_and_tokens_only(host: str) -> None:
 
 
 @pytest.mark.parametrize("host", ["camera.example", ""])
-def test_a_host_is_an_address(host: str) -> None:
+def test_host_is_an_address(host: str) -> None:
     assert "is no IP address" in refused(host=host)
 
 
@@ -75,7 +75,7 @@ def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.Monke
         assert Settings(bundle=Path("a.veilcam")).hosts == hosts
 
 
-def test_when_it_looks_is_a_rate_and_hours() -> None:
+def test_watch_setting_is_a_rate_and_hours() -> None:
     def policy(**given: str) -> WatchPolicy:
         return Settings.model_validate({"bundle": Path("a.veilcam"), **given}).watch_policy
 
@@ -94,7 +94,7 @@ def test_when_it_looks_is_a_rate_and_hours() -> None:
     assert (made["watch"], made["quiet_hours"]) == ("2/s", "22-7")
 
 
-def test_a_recording_has_names_too() -> None:
+def test_recording_has_names_too() -> None:
     made = Settings.model_validate({"replay": Path("r.jsonl"), "hosts": ("a.example",)})
     assert made.hosts == ("a.example",)
 
@@ -139,11 +139,11 @@ def test_this_machine_is_served(host: str) -> None:
     assert settings.host in ("127.0.0.1", "127.0.0.2", "::1")
 
 
-def test_a_scene_needs_a_simulated_camera() -> None:
+def test_scene_needs_a_simulated_camera() -> None:
     assert "add --simulate" in refused(device="pi", scenes=("scene.npy",))
 
 
-def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
+def test_wrong_classifier_is_refused_on_a_real_camera() -> None:
     assert "it needs --simulate" in refused(device="pi", wrong_classifier=True)
 
 
@@ -185,14 +185,14 @@ def test_values_out_of_range_are_named(name: str, value: object) -> None:
     assert "\n" not in message
 
 
-def test_a_real_camera_needs_a_bundle_and_a_simulated_one_has_the_demo_s() -> None:
+def test_real_camera_needs_a_bundle_and_a_simulated_one_has_the_demo_s() -> None:
     with pytest.raises(ValidationError) as caught:
         Settings.model_validate({})
     assert one_line(caught.value).startswith("--bundle is missing")
     assert Settings.model_validate({"device": "simulated"}).bundle == BUNDLE
 
 
-def test_the_environment_fills_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_fills_in(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VEILCAM_BUNDLE", "b.veilcam")
     monkeypatch.setenv("VEILCAM_ROTATION", '{"mode": "captures", "captures": 4}')
     monkeypatch.setenv("VEILCAM_PORT", "9000")
@@ -222,7 +222,7 @@ def test_state_goes_where_systemd_says(monkeypatch: pytest.MonkeyPatch) -> None:
         ("VEILCAM_", "leave it out"),
     ],
 )
-def test_a_name_that_is_nobody_s_is_refused(
+def test_name_that_is_nobody_s_is_refused(
     monkeypatch: pytest.MonkeyPatch, name: str, remedy: str
 ) -> None:
     monkeypatch.setenv(name, "the value, which may be secret")

@@ -115,7 +115,7 @@ def test_every_operation_has_a_subject_and_every_subject_operations(found: dict[
     assert len(subjects) == len(list(operations(found)))
 
 
-def test_it_says_where_the_api_is_and_under_which_licence(found: dict[str, Any]) -> None:
+def test_document_says_where_the_api_is_and_under_which_licence(found: dict[str, Any]) -> None:
     assert [server["url"] for server in found["servers"]] == ["/"]
     assert found["info"]["license"]["identifier"] == "Apache-2.0"
 

@@ -13,6 +13,6 @@ if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
 
 
-def test_it_is_that_of_the_document(bench: Bench) -> None:
+def test_reference_is_that_of_the_document(bench: Bench) -> None:
     made = page(document(create_app(bench.service(bench.camera()))))
     assert PAGE.read_text() == made, "write it anew: python -m tests.docs.api_reference"

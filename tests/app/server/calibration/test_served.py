@@ -78,7 +78,7 @@ def accuracy(camera: Camera, captures: int) -> float:
 
 @pytest.mark.thorough
 @pytest.mark.timeout(900)  # two daemons and a calibration, on a machine that may be busy
-def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
+def test_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
     bundle, built = tmp_path / "a.veilcam", tmp_path / "built.json"
     write_bundle(bundle, nearest_template())
     built.write_text(json.dumps(BUILT))
@@ -116,7 +116,7 @@ def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
         ('{"dead_rows": [51]}', "dead_rows = 51 is not valid: use 0 to 50"),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(
+def test_camera_that_cannot_be_built_is_refused_in_one_line(
     tmp_path: Path, text: str | None, reason: str
 ) -> None:
     built = tmp_path / "built.json"

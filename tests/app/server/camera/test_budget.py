@@ -98,7 +98,7 @@ def test_counts_outlive_the_daemon_and_another_number_is_held_against_them(tmp_p
 
 
 @pytest.mark.slow
-def test_what_was_to_leave_when_the_daemon_was_killed_has_left(tmp_path: Path) -> None:
+def test_embedding_that_was_to_leave_when_the_daemon_was_killed_has_left(tmp_path: Path) -> None:
     """Killed between the count and the answer: nobody knows what left, so it did."""
     script = (
         "import os, pathlib, sys\n"
@@ -115,7 +115,7 @@ def test_what_was_to_leave_when_the_daemon_was_killed_has_left(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("half_way", [False, True])
-def test_what_cannot_be_recorded_does_not_leave(
+def test_embedding_that_cannot_be_recorded_does_not_leave(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, half_way: bool
 ) -> None:
     budget = ReleaseBudget(tmp_path, 2)
@@ -138,7 +138,7 @@ def test_what_cannot_be_recorded_does_not_leave(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_is_put_right_from_its_copy(
+def test_damaged_record_is_put_right_from_its_copy(
     tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
     ReleaseBudget(tmp_path, 1).spend(stored(), "raw")
@@ -171,7 +171,7 @@ def test_after_a_loss_every_stored_mask_is_spent_also_after_a_restart(
     assert not ReleaseBudget(tmp_path, 5).is_spent(stored(), "raw")
 
 
-def test_a_number_that_cannot_be_is_refused(tmp_path: Path) -> None:
+def test_number_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="raw = -1 is not valid: use 0 or more"):
         ReleaseBudget(tmp_path, -1)
 

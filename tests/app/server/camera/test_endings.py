@@ -127,7 +127,7 @@ def interruptible() -> Iterator[None]:
         pytest.param(broken, ZeroDivisionError, id="defect"),
     ],
 )
-def test_a_daemon_that_is_ended(
+def test_daemon_that_is_ended(
     watched: Watched,
     settings: Settings,
     happens: Callable[[str], None],
@@ -142,7 +142,7 @@ def test_a_daemon_that_is_ended(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt()])
-def test_a_start_that_is_broken_off_in_the_test(
+def test_start_that_is_broken_off_in_the_test(
     watched: Watched,
     settings: Settings,
     monkeypatch: pytest.MonkeyPatch,
@@ -167,7 +167,7 @@ def test_a_start_that_is_broken_off_in_the_test(
         (SensorError("there is no camera 0", remedy="run_doctor"), ("degraded", "run_doctor")),
     ],
 )
-def test_a_start_without_proof_serves_and_says_why(
+def test_start_without_proof_serves_and_says_why(
     watched: Watched,
     settings: Settings,
     monkeypatch: pytest.MonkeyPatch,
@@ -187,7 +187,7 @@ def test_a_start_without_proof_serves_and_says_why(
     watched.check()
 
 
-def test_a_start_that_meets_a_defect_serves_and_tells_nothing_of_it(
+def test_start_that_meets_a_defect_serves_and_tells_nothing_of_it(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken_off(_: object, device: Device, *__: object) -> None:
@@ -207,7 +207,7 @@ def test_a_start_that_meets_a_defect_serves_and_tells_nothing_of_it(
 
 
 @pytest.mark.slow
-def test_a_panel_that_cannot_be_made_opaque_does_not_keep_the_sensor_running(
+def test_panel_that_cannot_be_made_opaque_does_not_keep_the_sensor_running(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = build_service(settings)

@@ -64,7 +64,7 @@ def test_help_and_tokens_wait_for_neither_arrays_nor_colours(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_an_occupied_port_is_told_before_torch_is_loaded(tmp_path: Path) -> None:
+def test_occupied_port_is_told_before_torch_is_loaded(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         ended, loaded, said = run(

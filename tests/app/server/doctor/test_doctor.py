@@ -114,7 +114,7 @@ def findings(bed: Bed, plan: DoctorSettings) -> dict[str, Finding]:
     return {finding.name: finding for finding in found}
 
 
-def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
+def test_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
     found = findings(bed, plan)
     assert {finding.outcome for finding in found.values()} == {"ok"}
     assert len(found) == 20
@@ -203,7 +203,7 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
 
 
 @pytest.mark.parametrize(("illness", "name", "found", "remedy"), ILLNESSES)
-def test_what_is_missing_is_named_and_how_to_get_it(
+def test_missing_part_is_named_and_how_to_get_it(
     bed: Bed, plan: DoctorSettings, *, illness: Illness, name: str, found: str, remedy: str
 ) -> None:
     illness(bed)
@@ -213,7 +213,7 @@ def test_what_is_missing_is_named_and_how_to_get_it(
     assert remedy in str(finding.remedy)
 
 
-def test_it_says_which_release_runs_and_whether_it_is_the_one_installed(
+def test_doctor_says_which_release_runs_and_whether_it_is_the_one_installed(
     bed: Bed, plan: DoctorSettings
 ) -> None:
     assert "release" not in findings(bed, plan)  # of a checkout
@@ -239,7 +239,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", ["spidev", "gpiod", "libcamera", "picamera2"])
 @pytest.mark.parametrize(("kind", "text"), BROKEN.items())
-def test_a_package_that_fails_at_import_is_named_with_its_error(
+def test_package_that_fails_at_import_is_named_with_its_error(
     bed: Bed,
     plan: DoctorSettings,
     monkeypatch: pytest.MonkeyPatch,
@@ -270,7 +270,7 @@ def test_a_package_that_fails_at_import_is_named_with_its_error(
     assert found["systemd"].outcome == "ok"
 
 
-def test_a_check_that_fails_keeps_back_no_other(bed: Bed, plan: DoctorSettings) -> None:
+def test_check_that_fails_keeps_back_no_other(bed: Bed, plan: DoctorSettings) -> None:
     def fail(*_: object) -> Any:
         raise KeyError("no such\nthing")
 
@@ -292,7 +292,7 @@ def test_spi_that_is_off_is_switched_on(bed: Bed, plan: DoctorSettings) -> None:
     assert "raspi-config nonint do_spi 0" in str(findings(bed, plan)["panel bus"].remedy)
 
 
-def test_what_needs_something_else_waits_for_it(bed: Bed, plan: DoctorSettings) -> None:
+def test_check_that_needs_another_waits_for_it(bed: Bed, plan: DoctorSettings) -> None:
     bed.missing += ["gpiod", "libcamera"]
     found = findings(bed, plan.model_copy(update={"bundle": None}))
     waiting = {name for name, finding in found.items() if finding.outcome == "skipped"}
@@ -338,7 +338,7 @@ def answering(answer: str | Exception) -> DisplayDriver:
     return replace(DISPLAYS["ST7735R"], identify=identify)
 
 
-def test_a_panel_that_is_wired_to_answer_is_asked(
+def test_panel_that_is_wired_to_answer_is_asked(
     bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wired = plan.model_copy(update={"panel_read_back": "miso"})
@@ -360,7 +360,7 @@ def test_a_panel_that_is_wired_to_answer_is_asked(
     assert (finding.outcome, finding.found) == ("skipped", "needs spidev and gpiod")
 
 
-def test_a_setting_that_is_misspelled_is_said(
+def test_setting_that_is_misspelled_is_said(
     bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert findings(bed, plan)["environment"].outcome == "ok"
@@ -370,7 +370,7 @@ def test_a_setting_that_is_misspelled_is_said(
     assert found.remedy == "did you mean VEILCAM_PANEL_TAB?"
 
 
-def test_a_bundle_that_its_owner_did_not_sign_is_said(
+def test_bundle_that_its_owner_did_not_sign_is_said(
     bed: Bed, plan: DoctorSettings, tmp_path: Path
 ) -> None:
     keys, wanted = tmp_path / "owners", plan.model_copy(update={"owner_keys": tmp_path / "owners"})
@@ -387,7 +387,7 @@ def test_a_bundle_that_its_owner_did_not_sign_is_said(
     assert (found.outcome, found.found) == ("ok", f"version 3, signed by {owner.short}")
 
 
-def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings) -> None:
+def test_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings) -> None:
     elsewhere = plan.model_copy(update={"state_dir": Path("/var/lib/other/deep")})
     assert "made at the first start" in findings(bed, elsewhere)["state directory"].found
     bed.locked.append("/var/lib")
@@ -396,7 +396,7 @@ def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings)
     assert "install -d -m 700" in str(finding.remedy)
 
 
-def test_a_damaged_bundle_is_said(
+def test_damaged_bundle_is_said(
     bed: Bed, plan: DoctorSettings, fresh_file: Path, tmp_path: Path
 ) -> None:
     fresh = findings(bed, plan.model_copy(update={"bundle": fresh_file}))
@@ -408,7 +408,7 @@ def test_a_damaged_bundle_is_said(
 
 
 @pytest.mark.skipif(Path("/proc/device-tree/model").exists(), reason="this is a board")
-def test_the_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
+def test_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
     """On a computer that is no Raspberry Pi, with the real checks."""
     state = ["--state-dir", str(tmp_path / "state")]
     result = runner.invoke(app, ["doctor", *state])
@@ -426,7 +426,7 @@ def test_the_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
     assert "--spi-hz" in result.stderr
 
 
-def test_the_command_ends_well_where_all_is_well(
+def test_command_ends_well_where_all_is_well(
     bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machines, "Machine", lambda: bed.machine)

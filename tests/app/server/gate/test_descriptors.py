@@ -38,7 +38,7 @@ class Limits:
         (100, 100, Room(37, 13), 100),
     ],
 )
-def test_how_many_there_is_room_for(
+def test_room_follows_the_limits(
     monkeypatch: pytest.MonkeyPatch, soft: int, hard: int, room: Room, raised: int
 ) -> None:
     limits = Limits(soft, hard)
@@ -48,7 +48,7 @@ def test_how_many_there_is_room_for(
     assert (limits.soft, limits.hard) == (raised, hard)
 
 
-def test_it_is_said_where_there_is_less(
+def test_room_that_is_less_is_said(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", Limits(256, 256).get)
@@ -85,7 +85,7 @@ PROGRAM = """
 
 
 @pytest.mark.slow
-def test_a_process_without_files_serves() -> None:
+def test_process_without_files_serves() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(PROGRAM)], stdout=subprocess.PIPE, text=True
     ) as process:

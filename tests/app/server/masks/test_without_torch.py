@@ -33,7 +33,7 @@ def test_all_of_a_daemon_is_imported() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["fresh", "pairs"])
-def test_it_reads_frames_behind_masks_of_the_bundles_that_come_along(mode: str) -> None:
+def test_device_reads_frames_behind_masks_of_the_bundles_that_come_along(mode: str) -> None:
     taken = json.loads(run("-m", "benchmarks.deploy.device_path", mode))
     assert len(taken["labels"]) == 5
     assert set(taken["labels"]) <= set(range(10))
@@ -42,7 +42,7 @@ def test_it_reads_frames_behind_masks_of_the_bundles_that_come_along(mode: str) 
     assert taken["peak_mib"] < 200
 
 
-def test_who_asks_for_simulated_light_is_told_what_to_install() -> None:
+def test_simulated_light_without_torch_says_what_to_install() -> None:
     said = run(
         "-c",
         f"""{_MISSING}

@@ -96,7 +96,7 @@ def kinds(records: list[LogRecord]) -> list[str]:
     return [getattr(each.entry, "after", each.entry.kind) for each in records]
 
 
-def test_a_log_tells_of_every_life_in_order(rig: Rig) -> None:
+def test_log_tells_of_every_life_in_order(rig: Rig) -> None:
     rig.life(2)
     rig.life(1)
     records = rig.said()
@@ -108,14 +108,14 @@ def test_a_log_tells_of_every_life_in_order(rig: Rig) -> None:
     assert not rig.faults
 
 
-def test_an_end_without_a_stop_is_said(rig: Rig) -> None:
+def test_end_without_a_stop_is_said(rig: Rig) -> None:
     append(rig.open(), 1)
     rig.open()
     assert kinds(rig.said()) == ["nothing", "capture", "cut"]
     assert not rig.faults
 
 
-def test_the_head_is_that_of_the_newest_record(rig: Rig) -> None:
+def test_head_is_that_of_the_newest_record(rig: Rig) -> None:
     log = rig.open(limit=SMALL, kept=2)
     append(log, 8)
     head = log.head()
@@ -126,7 +126,7 @@ def test_the_head_is_that_of_the_newest_record(rig: Rig) -> None:
     assert (head.missed, head.device) == (0, rig.key.public)
 
 
-def test_what_was_dropped_is_said(rig: Rig) -> None:
+def test_dropped_records_are_said(rig: Rig) -> None:
     log = rig.open(limit=SMALL, kept=2)
     append(log, 20)
     records = log.records(None, 100).records
@@ -155,7 +155,7 @@ def test_records_come_in_pages_over_all_files(rig: Rig) -> None:
     assert log.records(9, 4).next is None
 
 
-def test_a_file_that_is_dropped_meanwhile_is_passed_over(
+def test_file_that_is_dropped_meanwhile_is_passed_over(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = rig.open(limit=SMALL)
@@ -166,7 +166,7 @@ def test_a_file_that_is_dropped_meanwhile_is_passed_over(
     assert log.records(None, 100).records[0].position == 3
 
 
-def test_what_is_shown_is_on_the_disk(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_shown_are_on_the_disk(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A head that a power cut disowned would accuse an honest camera."""
     log = rig.open()
     append(log, 2)
@@ -182,7 +182,9 @@ def test_what_is_shown_is_on_the_disk(rig: Rig, monkeypatch: pytest.MonkeyPatch)
     assert sizes[0] == sizes[1] < sizes[2] == size
 
 
-def test_what_cannot_be_flushed_is_not_shown(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record_that_cannot_be_flushed_is_not_shown(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = rig.open()
     append(log, 1)
     descriptors = len(os.listdir("/proc/self/fd"))
@@ -198,7 +200,7 @@ def test_what_cannot_be_flushed_is_not_shown(rig: Rig, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_log_goes_on_and_says_so(rig: Rig, damage: str) -> None:
+def test_damaged_log_goes_on_and_says_so(rig: Rig, damage: str) -> None:
     rig.life(5)
     DAMAGES[damage](rig.folder / f"{0:020d}.jsonl")
     rig.life(1)
@@ -234,7 +236,7 @@ def test_damage_before_the_end_is_said_at_every_start(rig: Rig) -> None:
         log.close()
 
 
-def test_a_line_that_is_none_is_left_out(rig: Rig) -> None:
+def test_line_that_is_none_is_left_out(rig: Rig) -> None:
     log = rig.open()
     append(log, 3)
     path = rig.folder / f"{0:020d}.jsonl"
@@ -244,7 +246,7 @@ def test_a_line_that_is_none_is_left_out(rig: Rig) -> None:
         assert [each.position for each in log.records(None, 100).records] == [0, 1, 3]
 
 
-def test_a_log_of_another_device_is_set_aside(rig: Rig) -> None:
+def test_log_of_another_device_is_set_aside(rig: Rig) -> None:
     rig.life(3)
     other = Rig(rig.state_dir / "other")
     log = CaptureLog(Segments(rig.folder), other.key)
@@ -254,9 +256,7 @@ def test_a_log_of_another_device_is_set_aside(rig: Rig) -> None:
     assert list((rig.state_dir / "capture-log.damaged").iterdir())
 
 
-def test_a_full_disk_stops_no_answer_and_the_gap_is_said(
-    rig: Rig, full: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_stops_no_answer_and_the_gap_is_said(rig: Rig, full: pytest.MonkeyPatch) -> None:
     full.undo()
     log = rig.open()
     append(log, 1)
@@ -279,7 +279,7 @@ def test_a_full_disk_stops_no_answer_and_the_gap_is_said(
     assert records[2].entry.answers == 3  # type: ignore[union-attr]
 
 
-def test_it_is_told_again_when_the_disk_fails_again(rig: Rig, monkeypatch: Any) -> None:
+def test_failure_of_the_disk_is_told_again_when_it_fails_again(rig: Rig, monkeypatch: Any) -> None:
     log = rig.open()
     for _ in range(2):
         with monkeypatch.context() as patch:
@@ -289,7 +289,7 @@ def test_it_is_told_again_when_the_disk_fails_again(rig: Rig, monkeypatch: Any) 
     assert len(rig.faults) == 2
 
 
-def test_a_disk_that_is_full_at_the_start_ends_nothing(rig: Rig, full: pytest.MonkeyPatch) -> None:
+def test_disk_that_is_full_at_the_start_ends_nothing(rig: Rig, full: pytest.MonkeyPatch) -> None:
     log = rig.open()
     append(log, 2)
     assert [type(fault) for fault in rig.faults] == [CaptureLogError]
@@ -305,7 +305,7 @@ def test_a_disk_that_is_full_at_the_start_ends_nothing(rig: Rig, full: pytest.Mo
     assert records[1].entry.answers == 2  # type: ignore[union-attr]
 
 
-def test_what_cannot_be_set_aside_is_tried_again(rig: Rig, monkeypatch: Any) -> None:
+def test_segment_that_cannot_be_set_aside_is_tried_again(rig: Rig, monkeypatch: Any) -> None:
     rig.life(1)
     for path in rig.folder.iterdir():
         path.write_bytes(path.read_bytes() + b"{")
@@ -322,7 +322,7 @@ def test_what_cannot_be_set_aside_is_tried_again(rig: Rig, monkeypatch: Any) -> 
     assert kinds(rig.said()) == ["nothing", "capture", "stop", "damage", "gap", "capture", "stop"]
 
 
-def test_a_full_disk_at_the_end_ends_nothing(rig: Rig, full: pytest.MonkeyPatch) -> None:
+def test_full_disk_at_the_end_ends_nothing(rig: Rig, full: pytest.MonkeyPatch) -> None:
     full.undo()
     log = rig.open()
     append(log, 1)
@@ -381,7 +381,7 @@ print(said)
 
 
 @pytest.mark.thorough
-def test_a_log_whose_writer_is_killed_has_every_answer_that_left(tmp_path: Path) -> None:
+def test_log_whose_writer_is_killed_has_every_answer_that_left(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[4]
     done = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path), str(root)],

@@ -54,7 +54,7 @@ def write_pair(directory: Path, passphrase: bytes | None = None) -> tuple[Path, 
     return paths
 
 
-def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
+def test_certificate_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     certificate, key = write_pair(tmp_path / "a")
     _, other = write_pair(tmp_path / "b")
     _, locked = write_pair(tmp_path / "c", b"passphrase")
@@ -74,7 +74,7 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_path: Path) -> None:
+def test_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_path: Path) -> None:
     certificate, key = write_pair(tmp_path / "tls")
     store = TokenStore(tmp_path / "state")
     token = store.create("reader", ("read:status",), None)

@@ -79,7 +79,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, after: int = 0) -> Iterator[None]
         yield
 
 
-def test_what_is_written_is_read(rig: Rig) -> None:
+def test_state_written_is_read(rig: Rig) -> None:
     assert rig.read() is None
     assert rig.open().change(lambda held: Note(text=repr(held))) == Note(text="None")
     assert rig.read() == Note(text="None")
@@ -89,7 +89,7 @@ def test_what_is_written_is_read(rig: Rig) -> None:
     assert not rig.faults
 
 
-def test_a_record_is_for_its_owner_alone_and_nothing_is_left_beside(rig: Rig) -> None:
+def test_record_is_for_its_owner_alone_and_nothing_is_left_beside(rig: Rig) -> None:
     rig.write("a", "b")
     names = {path.name for path in rig.path.parent.iterdir()}
     assert names == {"note.json", "note.json.copy", "note.json.lock"}
@@ -170,7 +170,7 @@ def test_any_flipped_byte_is_noticed(rig: Rig) -> None:
 
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path)])
 @pytest.mark.parametrize("name", ["note.json", "note.json.copy"])
-def test_a_file_that_cannot_be_read_is_not_damaged(
+def test_file_that_cannot_be_read_is_not_damaged(
     rig: Rig, make: Callable[[Path], None], name: str
 ) -> None:
     rig.write("a")
@@ -189,7 +189,7 @@ def test_a_file_that_cannot_be_read_is_not_damaged(
     assert rig.read() == Note(text="a")
 
 
-def test_a_disk_that_fails_is_not_damage(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_that_fails_is_not_damage(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing(io.BytesIO):
         def read(self, *_: object) -> bytes:
             raise OSError(errno.EIO, "Input/output error")
@@ -203,14 +203,14 @@ def test_a_disk_that_fails_is_not_damage(rig: Rig, monkeypatch: pytest.MonkeyPat
     assert not rig.faults
 
 
-def test_a_file_that_has_no_end_is_damaged(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_that_has_no_end_is_damaged(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.write("a" * 100)
     monkeypatch.setattr(state_file, "MAX_BYTES", 100)
     assert rig.read() is None
     assert rig.codes() == ["state_lost"]
 
 
-def test_the_newest_copy_counts_and_a_change_that_was_cut_off_is_no_fault(rig: Rig) -> None:
+def test_newest_copy_counts_and_a_change_that_was_cut_off_is_no_fault(rig: Rig) -> None:
     rig.write("old")
     before = rig.path.read_bytes()
     rig.write("new")
@@ -229,7 +229,7 @@ def test_ten_changes_later_the_newest_copy_still_counts(rig: Rig) -> None:
     assert rig.read() == Note(text="j")
 
 
-def test_a_first_change_that_was_cut_off_is_no_fault(rig: Rig) -> None:
+def test_first_change_that_was_cut_off_is_no_fault(rig: Rig) -> None:
     rig.write("a")
     rig.path.unlink()
     os.truncate(rig.path.with_name("note.json.lock"), 0)
@@ -237,7 +237,7 @@ def test_a_first_change_that_was_cut_off_is_no_fault(rig: Rig) -> None:
     assert not rig.faults
 
 
-def test_a_copy_of_the_record_alone_can_be_read(rig: Rig) -> None:
+def test_copy_of_the_record_alone_can_be_read(rig: Rig) -> None:
     rig.write("a")
     rig.copy.unlink()
     rig.path.with_name("note.json.lock").unlink()
@@ -247,7 +247,7 @@ def test_a_copy_of_the_record_alone_can_be_read(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("after", [0, 1])
-def test_a_full_disk_changes_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+def test_full_disk_changes_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     rig.write("a")
     with full_disk(monkeypatch, after), pytest.raises(OSError, match="No space left"):
         rig.write("b")
@@ -258,7 +258,7 @@ def test_a_full_disk_changes_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch, 
     assert rig.read() == Note(text="b")
 
 
-def test_a_first_change_on_a_full_disk_leaves_no_record(
+def test_first_change_on_a_full_disk_leaves_no_record(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with full_disk(monkeypatch), pytest.raises(OSError, match="No space left"):
@@ -293,7 +293,7 @@ def test_everything_is_flushed_before_it_takes_its_place(
     ]
 
 
-def test_a_disk_that_takes_nothing_is_read_all_the_same(
+def test_disk_that_takes_nothing_is_read_all_the_same(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig.write("a")
@@ -317,9 +317,7 @@ def test_damage_found_by_a_change_is_told_and_loses_nothing(rig: Rig) -> None:
     assert rig.read() == Note(text="ab")
 
 
-def test_what_is_staged_holds_once_it_is_committed(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_staged_state_holds_once_it_is_committed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.write("a")
     with closing(rig.open().stage(lambda _: Note(text="b"))) as staged:
         assert staged.state == Note(text="b")
@@ -376,7 +374,7 @@ print(said)
 
 
 @pytest.mark.slow
-def test_a_writer_that_is_killed_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
+def test_writer_that_is_killed_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[4]
     done = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path), str(root)],
@@ -388,7 +386,7 @@ def test_a_writer_that_is_killed_loses_nothing_that_it_acknowledged(tmp_path: Pa
     assert int(done.stdout) > 30
 
 
-def test_a_file_of_another_record_is_damage(rig: Rig) -> None:
+def test_file_of_another_record_is_damage(rig: Rig) -> None:
     class Other(BaseModel):
         more: int = 0
 
@@ -408,7 +406,7 @@ def test_a_file_of_another_record_is_damage(rig: Rig) -> None:
     assert rig.codes() == ["state_damaged", "state_damaged", "state_lost"]
 
 
-def test_the_version_tells_a_change(rig: Rig) -> None:
+def test_version_tells_a_change(rig: Rig) -> None:
     seen = rig.open()
     versions = [seen.version]
     for text in ("a", "b", "c"):
@@ -443,7 +441,7 @@ def locked(rig: Rig) -> Iterator[None]:
         yield
 
 
-def test_a_change_waits_for_another_but_not_for_ever(rig: Rig) -> None:
+def test_change_waits_for_another_but_not_for_ever(rig: Rig) -> None:
     rig.write("a")
     opened = rig.open()
     assert opened.patience == 5.0
@@ -461,7 +459,7 @@ def test_a_change_waits_for_another_but_not_for_ever(rig: Rig) -> None:
     assert rig.read() == Note(text="c")
 
 
-def test_a_record_that_is_being_changed_is_read_without_waiting(rig: Rig) -> None:
+def test_record_that_is_being_changed_is_read_without_waiting(rig: Rig) -> None:
     rig.write("a")
     before = rig.path.read_bytes()
     rig.write("b")
@@ -485,7 +483,7 @@ def test_faults_are_logged_where_nobody_takes_them(rig: Rig) -> None:
     assert logs == [entry]
 
 
-def test_a_directory_is_made_and_held_by_one(tmp_path: Path) -> None:
+def test_directory_is_made_and_held_by_one(tmp_path: Path) -> None:
     directory = tmp_path / "var" / "state"
     held = HeldDirectory(directory)
     with closing(held):
@@ -497,9 +495,7 @@ def test_a_directory_is_made_and_held_by_one(tmp_path: Path) -> None:
         assert not list(directory.iterdir())
 
 
-def test_a_directory_that_is_made_is_durable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_directory_that_is_made_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flushed: list[str] = []
     monkeypatch.setattr(state_file, "sync_folder", lambda folder: flushed.append(folder.name))
     for _ in range(2):
@@ -508,7 +504,7 @@ def test_a_directory_that_is_made_is_durable(
     assert stat.S_IMODE((tmp_path / "var" / "state").stat().st_mode) == 0o700
 
 
-def test_what_is_no_directory_is_refused(tmp_path: Path) -> None:
+def test_path_that_is_no_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(StartError, match=r"cannot be used \(.*\): move it away, or give an"):

@@ -50,7 +50,7 @@ def listing(folder: Path) -> list[tuple[str, int, int]]:
     return [(str(path), path.lstat().st_mode, path.lstat().st_ino) for path in paths]
 
 
-def test_a_folder_whose_files_can_be_read_is_usable(folder: Path) -> None:
+def test_folder_whose_files_can_be_read_is_usable(folder: Path) -> None:
     (folder / "lost+found").mkdir()
     (folder / "notes.txt").write_text("mine")
     listen(folder / "api")
@@ -72,7 +72,7 @@ def test_a_folder_whose_files_can_be_read_is_usable(folder: Path) -> None:
     ],
     ids=["folder", "fifo", "device", "loop", "link to a device"],
 )
-def test_what_is_no_file_is_refused_without_waiting(
+def test_path_that_is_no_file_is_refused_without_waiting(
     folder: Path, name: str, make: Callable[[Path], None], why: str
 ) -> None:
     (folder / name).unlink()
@@ -89,28 +89,28 @@ def test_what_is_no_file_is_refused_without_waiting(
 
 
 @pytest.mark.parametrize("name", ["tokens.json", "audit.jsonl", "scene.npy"])
-def test_a_socket_in_the_place_of_a_file_is_refused(folder: Path, name: str) -> None:
+def test_socket_in_the_place_of_a_file_is_refused(folder: Path, name: str) -> None:
     (folder / name).unlink()
     listen(folder / name)
     with pytest.raises(StartError, match=rf"{name} cannot be read \(Not a regular file\)"):
         require_usable(folder)
 
 
-def test_a_fifo_of_any_name_is_refused(folder: Path) -> None:
+def test_fifo_of_any_name_is_refused(folder: Path) -> None:
     os.mkfifo(folder / "calibration.png")
     with pytest.raises(StartError, match=r"calibration\.png cannot be read"):
         require_usable(folder)
 
 
 @pytest.mark.parametrize("name", ["bundles", "capture-log"])
-def test_a_file_in_the_place_of_a_folder_is_refused(folder: Path, name: str) -> None:
+def test_file_in_the_place_of_a_folder_is_refused(folder: Path, name: str) -> None:
     (folder / name).rename(folder.with_name("elsewhere"))
     (folder / name).touch()
     with pytest.raises(StartError, match=rf"{name} cannot be read \(Not a directory\): move it"):
         require_usable(folder)
 
 
-def test_a_link_to_nothing_is_as_if_the_file_were_gone(folder: Path) -> None:
+def test_link_to_nothing_is_as_if_the_file_were_gone(folder: Path) -> None:
     (folder / "tokens.json").unlink()
     (folder / "tokens.json").symlink_to("/nonexistent")
     require_usable(folder)
@@ -141,7 +141,7 @@ def hold_as_nobody(directory: Path) -> str:
 
 @as_root
 @pytest.mark.parametrize("name", [*FILES, "bundles", "capture-log"])
-def test_a_file_of_another_owner_is_refused_with_owner_and_command(
+def test_file_of_another_owner_is_refused_with_owner_and_command(
     open_tmp_path: Path, name: str
 ) -> None:
     directory = open_tmp_path / "state"
@@ -171,7 +171,7 @@ def open_tmp_path() -> Iterator[Path]:
 
 
 @as_root
-def test_a_folder_of_another_user_is_refused_with_both_ways(open_tmp_path: Path) -> None:
+def test_folder_of_another_user_is_refused_with_both_ways(open_tmp_path: Path) -> None:
     directory = open_tmp_path / "state"
     make_directory(directory)
     os.chown(directory, 1, 1)
@@ -206,7 +206,7 @@ def test_root_becomes_the_folder_s_owner_with_its_groups(open_tmp_path: Path) ->
 
 
 @as_root
-def test_a_command_of_root_makes_files_of_the_folder_s_owner(open_tmp_path: Path) -> None:
+def test_command_of_root_makes_files_of_the_folder_s_owner(open_tmp_path: Path) -> None:
     directory = open_tmp_path / "state"
     make_directory(directory)
     os.chown(directory, NOBODY.pw_uid, NOBODY.pw_gid)
@@ -225,7 +225,7 @@ def test_a_command_of_root_makes_files_of_the_folder_s_owner(open_tmp_path: Path
     }
 
 
-def test_who_is_no_root_or_owns_the_folder_stays_what_it_is(folder: Path) -> None:
+def test_user_that_is_no_root_or_owns_the_folder_stays_what_it_is(folder: Path) -> None:
     before = os.getresuid(), os.getresgid(), os.getgroups()
     become_owner(folder)
     assert (os.getresuid(), os.getresgid(), os.getgroups()) == before
@@ -233,9 +233,7 @@ def test_who_is_no_root_or_owns_the_folder_stays_what_it_is(folder: Path) -> Non
 
 @pytest.mark.parametrize("mode", [0o755, 0o777, 0o750, 0o701, 0o500])
 @pytest.mark.parametrize("content", ["tokens.json", None])
-def test_a_state_folder_is_its_owner_s_alone(
-    tmp_path: Path, mode: int, content: str | None
-) -> None:
+def test_state_folder_is_its_owner_s_alone(tmp_path: Path, mode: int, content: str | None) -> None:
     directory = tmp_path / "state"
     directory.mkdir()
     if content is not None:
@@ -246,7 +244,7 @@ def test_a_state_folder_is_its_owner_s_alone(
 
 
 @pytest.mark.parametrize(("mode", "name"), [(0o755, "somebody"), (0o1777, "tokens.json")])
-def test_a_folder_of_others_is_left_alone_and_refused(tmp_path: Path, mode: int, name: str) -> None:
+def test_folder_of_others_is_left_alone_and_refused(tmp_path: Path, mode: int, name: str) -> None:
     directory = tmp_path / "home"
     (directory / name).mkdir(parents=True)
     directory.chmod(mode)
@@ -256,7 +254,7 @@ def test_a_folder_of_others_is_left_alone_and_refused(tmp_path: Path, mode: int,
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o022, 0o077, 0o177])
-def test_a_state_folder_is_private_whatever_the_umask(tmp_path: Path, umask: int) -> None:
+def test_state_folder_is_private_whatever_the_umask(tmp_path: Path, umask: int) -> None:
     before = os.umask(umask)
     try:
         make_directory(tmp_path / "state")

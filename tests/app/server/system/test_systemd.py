@@ -24,7 +24,7 @@ def test_systemd_is_told(abstract: bool, tmp_path: Path, monkeypatch: pytest.Mon
         assert systemd.recv(100) == b"READY=1\nSTATUS=ready"
 
 
-def test_nobody_to_tell(
+def test_notification_without_systemd_is_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
@@ -35,7 +35,7 @@ def test_nobody_to_tell(
     assert "systemd not told" in capsys.readouterr().out
 
 
-def test_the_watchdog_is_for_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watchdog_is_for_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
     monkeypatch.delenv("WATCHDOG_PID", raising=False)
     assert watchdog_period() is None

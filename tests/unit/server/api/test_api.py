@@ -101,7 +101,7 @@ async def test_classification_is_what_the_pair_s_own_network_says(
     assert len(labels) > 1
 
 
-async def test_the_embedding_stays_inside_unless_asked_for(running: Running) -> None:
+async def test_embedding_stays_inside_unless_asked_for(running: Running) -> None:
     async with running() as client:
         for body in (None, {}, {"include_embedding": False}):
             answer = await client.post("/v1/classifications", json=body)
@@ -127,7 +127,7 @@ async def test_rotation_by_time_needs_no_captures(running: Running, bench: Bench
     assert len(bench.epochs) >= 3
 
 
-async def test_a_change_at_the_moment_of_closing_does_not_keep_the_service_open(
+async def test_change_at_the_moment_of_closing_does_not_keep_the_service_open(
     bench: Bench,
 ) -> None:
     camera = bench.camera(policy=EverySeconds(seconds=60))
@@ -139,9 +139,7 @@ async def test_a_change_at_the_moment_of_closing_does_not_keep_the_service_open(
     assert camera.state[0] == "stopping"
 
 
-async def test_a_mask_is_changed_before_somebody_waits_for_it(
-    running: Running, bench: Bench
-) -> None:
+async def test_mask_is_changed_before_somebody_waits_for_it(running: Running, bench: Bench) -> None:
     async with running(policy=EveryCaptures(captures=1)) as client:
         await client.post("/v1/captures")
         await until(lambda: len(bench.epochs) >= 2)
@@ -176,7 +174,7 @@ async def test_rotation_by_time_outlives_a_failing_panel(
         None,
     ],
 )
-async def test_a_bad_policy_is_refused_and_the_old_one_stays(running: Running, policy: Any) -> None:
+async def test_bad_policy_is_refused_and_the_old_one_stays(running: Running, policy: Any) -> None:
     async with running(policy=EveryCaptures(captures=5)) as client:
         answer = await client.put("/v1/rotation", json=policy)
         assert problem(answer, "invalid_request").errors
@@ -186,7 +184,7 @@ async def test_a_bad_policy_is_refused_and_the_old_one_stays(running: Running, p
 
 
 @pytest.mark.parametrize("body", [b"{", b'{"mode": "seconds", "seconds": Infinity}', b"\xff", b""])
-async def test_a_body_that_is_no_json_is_refused(running: Running, body: bytes) -> None:
+async def test_body_that_is_no_json_is_refused(running: Running, body: bytes) -> None:
     async with running() as client:
         headers = {"Content-Type": "application/json"}
         answer = await client.put("/v1/rotation", content=body, headers=headers)
@@ -212,7 +210,7 @@ async def test_errors_of_the_protocol_are_problems(running: Running) -> None:
 
 
 @pytest.mark.parametrize("path", ["/v1/captures", "/v1/classifications", "/v1/rotation/advance"])
-async def test_a_body_too_large_is_refused_whatever_it_claims(
+async def test_body_too_large_is_refused_whatever_it_claims(
     running: Running, bench: Bench, path: str
 ) -> None:
     async def stream() -> Any:
@@ -229,7 +227,7 @@ async def test_a_body_too_large_is_refused_whatever_it_claims(
 
 
 @pytest.mark.parametrize("path", ["/v1/captures", "/v1/bundles", "/v1/simulation/scene"])
-async def test_a_body_that_breaks_off_is_no_defect(
+async def test_body_that_breaks_off_is_no_defect(
     bench: Bench, path: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     service = bench.service(bench.camera())
@@ -283,7 +281,7 @@ async def test_host_names_of_this_machine_are_served(running: Running) -> None:
         (SensorTimeoutError("no frame came in 5 s"), "sensor_timeout"),
     ],
 )
-async def test_a_failing_sensor_is_a_problem_with_retry_after(
+async def test_failing_sensor_is_a_problem_with_retry_after(
     running: Running, bench: Bench, error: Exception, code: str
 ) -> None:
     def fail() -> None:
@@ -323,7 +321,7 @@ async def test_one_pair_cannot_rotate(running: Running, lone_bench: Bench) -> No
         assert (await client.post("/v1/captures")).is_success
 
 
-async def test_a_full_queue_turns_requests_away(running: Running, bench: Bench) -> None:
+async def test_full_queue_turns_requests_away(running: Running, bench: Bench) -> None:
     go_on = threading.Event()
     async with running(queue_limit=2) as client:
         bench.sensor.before = lambda: (go_on.wait(100), None)[1]
@@ -342,9 +340,7 @@ async def test_a_full_queue_turns_requests_away(running: Running, bench: Bench) 
         assert (await client.post("/v1/captures")).is_success
 
 
-async def test_a_repeated_key_is_answered_twice_and_done_once(
-    running: Running, bench: Bench
-) -> None:
+async def test_repeated_key_is_answered_twice_and_done_once(running: Running, bench: Bench) -> None:
     key = {"Idempotency-Key": "one"}
     async with running() as client:
         first = await client.post("/v1/captures", headers=key)
@@ -358,7 +354,7 @@ async def test_a_repeated_key_is_answered_twice_and_done_once(
         assert (await client.post("/v1/captures")).json()["id"] != first.json()["id"]
 
 
-async def test_a_repeated_key_in_parallel_is_done_once(running: Running, bench: Bench) -> None:
+async def test_repeated_key_in_parallel_is_done_once(running: Running, bench: Bench) -> None:
     async with running() as client:
         answers = await asyncio.gather(
             *(client.post("/v1/rotation/advance", headers={"Idempotency-Key": "k"}) for _ in "1234")
@@ -367,7 +363,7 @@ async def test_a_repeated_key_in_parallel_is_done_once(running: Running, bench: 
     assert len(bench.epochs) == 2
 
 
-async def test_a_failure_is_not_kept_under_its_key(running: Running, bench: Bench) -> None:
+async def test_failure_is_not_kept_under_its_key(running: Running, bench: Bench) -> None:
     def fail() -> None:
         raise SensorError("no frame came")
 
@@ -379,7 +375,7 @@ async def test_a_failure_is_not_kept_under_its_key(running: Running, bench: Benc
         assert (await client.post("/v1/captures", headers=key)).is_success
 
 
-async def test_a_defect_is_a_problem_that_tells_nothing(
+async def test_defect_is_a_problem_that_tells_nothing(
     running: Running, bench: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail() -> None:
@@ -418,7 +414,7 @@ async def test_no_pattern_leaves(
             assert repr(abs(weight))[:12] not in left
 
 
-async def test_a_request_id_is_taken_over_only_when_harmless(running: Running) -> None:
+async def test_request_id_is_taken_over_only_when_harmless(running: Running) -> None:
     async with running() as client:
         for asked, kept in (("my-id.7", True), ("a" * 65, False), ("with space", False)):
             answer = await client.get("/v1/status", headers={"X-Request-Id": asked})

@@ -105,12 +105,12 @@ async def test_every_answer_of_every_route_tells_a_browser_to_make_nothing_of_it
     assert {200, 401, 403, 404, 405, 413, 415, 421, 422, 429, 500} <= set(statuses)
 
 
-async def test_who_is_refused_for_haste_is_told_too(running: Running) -> None:
+async def test_caller_refused_for_haste_is_told_too(running: Running) -> None:
     async with running(admission=Admission(rate=RateLimit(1e-9, 1))) as client:
         assert [check(await client.get("/v1/status")) for _ in range(2)] == [200, 429]
 
 
-async def test_the_stream_of_events_is_told_too(bench: Bench) -> None:
+async def test_stream_of_events_is_told_too(bench: Bench) -> None:
     service = bench.service(bench.camera())
     app, heads = create_app(service), list[httpx.Headers]()
     listener = anyio.CancelScope()
@@ -165,7 +165,7 @@ async def test_no_body_is_taken_that_a_page_can_send_unasked(
     assert len(bench.display.shown) == 2  # the first mask, and opaque at the end
 
 
-async def test_what_a_body_is_said_to_be(running: Running) -> None:
+async def test_body_is_what_its_media_type_says(running: Running) -> None:
     policy = json.dumps({"mode": "captures", "captures": 7}).encode()
 
     async def chunks() -> AsyncIterator[bytes]:

@@ -33,7 +33,7 @@ async def ask(client: httpx.AsyncClient, path: str) -> httpx.Response:
 
 @pytest.mark.parametrize("release", ["sealed", "raw"])
 @pytest.mark.parametrize(("path", "more"), [("captures", set()), ("classifications", LABEL)])
-async def test_an_answer_says_nothing_else(
+async def test_answer_says_nothing_else(
     running: Running, bench: Bench, release: Release, path: str, more: set[str]
 ) -> None:
     bench.release = release

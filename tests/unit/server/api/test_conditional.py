@@ -23,7 +23,7 @@ async def tag_of(client: httpx.AsyncClient, path: str) -> str:
     return tag
 
 
-async def test_the_status_has_one_tag_until_something_happens(running: Running) -> None:
+async def test_status_has_one_tag_until_something_happens(running: Running) -> None:
     async with running() as client:
         first = (await client.get("/v1/status")).json()
         tag = await tag_of(client, "/v1/status")
@@ -45,7 +45,7 @@ async def test_the_status_has_one_tag_until_something_happens(running: Running) 
 
 
 @pytest.mark.parametrize("path", ["/v1/status", "/v1/bundles"])
-async def test_what_is_known_is_not_sent_again(running: Running, path: str) -> None:
+async def test_answer_known_already_is_not_sent_again(running: Running, path: str) -> None:
     async with running() as client:
         document = (await client.get("/v1/openapi.json")).json()
         assert "304" in document["paths"][path]["get"]["responses"]

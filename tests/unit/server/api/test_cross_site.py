@@ -173,7 +173,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
         {"Host": "[::1]:443", "Origin": "https://[::1]"},
     ],
 )
-async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they_say(
+async def test_same_requests_of_a_program_or_of_the_same_origin_do_what_they_say(
     running: Running,
     bench: Bench,
     *,
@@ -248,7 +248,7 @@ async def test_no_get_changes_anything(
         ("GET", "/", {"Host": "page.example"}, 421),
     ],
 )
-async def test_a_link_on_another_site_leads_to_pages_alone(
+async def test_link_on_another_site_leads_to_pages_alone(
     running: Running, *, method: str, path: str, change: dict[str, str], status: int
 ) -> None:
     headers = {"Sec-Fetch-Site": "cross-site", **dict(NAVIGATION), **change}
@@ -257,7 +257,7 @@ async def test_a_link_on_another_site_leads_to_pages_alone(
         assert answer.status_code == status
 
 
-async def test_a_frame_is_let_in_where_a_page_may_have_one(running: Running) -> None:
+async def test_frame_is_let_in_where_a_page_may_have_one(running: Running) -> None:
     headers = {"Sec-Fetch-Site": "cross-site", **dict(NAVIGATION), "Sec-Fetch-Dest": "iframe"}
     admission = Admission(site=Site(frame_ancestors=("https://home.example", "http://b:1")))
     async with running(admission=admission) as client:
@@ -268,7 +268,7 @@ async def test_a_frame_is_let_in_where_a_page_may_have_one(running: Running) -> 
         assert (await client.get("/v1/status", headers=headers)).status_code == 403
 
 
-async def test_a_port_that_is_no_default_is_compared(running: Running) -> None:
+async def test_port_that_is_no_default_is_compared(running: Running) -> None:
     async with running() as client:
         for host, origin, status in (
             ("localhost:8787", "http://localhost:8787", 200),
@@ -280,7 +280,7 @@ async def test_a_port_that_is_no_default_is_compared(running: Running) -> None:
             assert answer.status_code == status, (host, origin)
 
 
-async def test_there_is_no_web_socket(bench: Bench) -> None:
+async def test_web_sockets_are_closed(bench: Bench) -> None:
     app, sent = create_app(bench.service(bench.camera())), []
 
     async def receive() -> Message:

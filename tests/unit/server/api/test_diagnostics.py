@@ -193,7 +193,7 @@ async def test_diagnostics_tell_of_the_last_states_and_faults(
 
 
 @pytest.mark.parametrize("path", ["/v1/captures", "/v1/classifications"])
-async def test_a_panel_that_does_not_hide_is_told_to_all_and_answered_to_nobody(
+async def test_panel_that_does_not_hide_is_told_to_all_and_answered_to_nobody(
     running: Running, bench: Bench, path: str
 ) -> None:
     async with running(policy=EveryCaptures(captures=1)) as client:
@@ -242,7 +242,7 @@ async def test_settings_are_told_without_what_could_be_secret(
     assert rotation["captures"] == 77
 
 
-async def test_the_doctor_looks_once_in_a_while_whoever_asks() -> None:
+async def test_doctor_looks_once_in_a_while_whoever_asks() -> None:
     looks, now = 0, 100.0
 
     def examine() -> list[Finding]:

@@ -50,7 +50,7 @@ async def test_every_get_has_its_head(running: Running, tmp_path: Path) -> None:
     refused.close()
 
 
-async def test_a_method_that_a_path_does_not_take_is_told_those_it_takes(running: Running) -> None:
+async def test_method_that_a_path_does_not_take_is_told_those_it_takes(running: Running) -> None:
     async with running() as client:
         paths = (await client.get("/v1/openapi.json")).json()["paths"]
         assert len(paths) > 20
@@ -64,7 +64,7 @@ async def test_a_method_that_a_path_does_not_take_is_told_those_it_takes(running
                 assert answer.headers["allow"] == ", ".join(sorted(taken)), (method, path)
 
 
-async def test_a_stream_that_is_not_read_holds_no_place(running: Running) -> None:
+async def test_stream_that_is_not_read_holds_no_place(running: Running) -> None:
     admission = Admission()
     async with running(admission=admission) as client:
         for _ in range(100):
@@ -73,7 +73,7 @@ async def test_a_stream_that_is_not_read_holds_no_place(running: Running) -> Non
     assert 'method="HEAD",route="/v1/events",status="200"} 100.0' in metrics
 
 
-async def test_where_there_is_no_get_there_is_no_head(running: Running) -> None:
+async def test_head_is_refused_where_there_is_no_get(running: Running) -> None:
     async with running() as client:
         head = await client.head("/v1/captures")
         assert (head.status_code, head.headers["allow"]) == (405, "POST")

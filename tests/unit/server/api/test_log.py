@@ -62,7 +62,7 @@ async def test_every_answer_has_its_record(running: Running, bench: Bench, relea
         assert (entry.tested_s, entry.calibration) == (60, None)
 
 
-async def test_a_receiver_finds_the_mask_that_a_record_commits_to(
+async def test_receiver_finds_the_mask_that_a_record_commits_to(
     running: Running, bench: Bench
 ) -> None:
     bench.release, key = "sealed", ReceiverKey.generate()
@@ -83,7 +83,7 @@ async def test_a_receiver_finds_the_mask_that_a_record_commits_to(
     assert None not in shown
 
 
-async def test_what_failed_or_came_again_has_no_record_of_its_own(
+async def test_answer_that_failed_or_came_again_has_no_record_of_its_own(
     running: Running, bench: Bench
 ) -> None:
     bench.release = "none"
@@ -112,7 +112,7 @@ async def test_events_and_log_name_no_whole_id(bench: Bench) -> None:
         assert answer.id[16:] not in each.model_dump_json()
 
 
-async def test_the_head_is_signed_and_pages_follow_from_each_other(
+async def test_head_is_signed_and_pages_follow_from_each_other(
     running: Running, bench: Bench
 ) -> None:
     async with running() as client:
@@ -133,13 +133,13 @@ async def test_the_head_is_signed_and_pages_follow_from_each_other(
 @pytest.mark.parametrize(
     "asked", ["limit=0", "limit=1001", "after=-1", "after=x", f"after={2**63}"]
 )
-async def test_what_cannot_be_asked_is_refused(running: Running, asked: str) -> None:
+async def test_question_that_cannot_be_asked_is_refused(running: Running, asked: str) -> None:
     async with running() as client:
         answer = await client.get(f"/v1/log?{asked}")
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
 
 
-async def test_the_log_wants_a_scope_of_its_own(running: Running, tmp_path: Path) -> None:
+async def test_log_wants_a_scope_of_its_own(running: Running, tmp_path: Path) -> None:
     store = TokenStore(tmp_path)
     made = {
         scope: store.create("reader", (scope,), None).secret
@@ -152,7 +152,7 @@ async def test_the_log_wants_a_scope_of_its_own(running: Running, tmp_path: Path
                 assert (await client.get(path, headers=token)).status_code == status
 
 
-async def test_a_full_disk_stops_no_answer(
+async def test_full_disk_stops_no_answer(
     running: Running, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: Any) -> int:
@@ -173,7 +173,7 @@ async def test_a_full_disk_stops_no_answer(
         assert kinds == ["start", "gap", "capture"]
 
 
-async def test_what_cannot_be_flushed_is_no_head(
+async def test_record_that_cannot_be_flushed_is_no_head(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(_: int) -> None:
@@ -185,7 +185,7 @@ async def test_what_cannot_be_flushed_is_no_head(
     assert (answer.status_code, answer.json()["code"]) == (503, "log_not_written")
 
 
-async def test_a_damaged_log_is_a_fault_and_the_daemon_goes_on(
+async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
     running: Running, bench: Bench
 ) -> None:
     async with running() as client:

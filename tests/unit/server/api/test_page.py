@@ -62,7 +62,7 @@ async def test_everybody_may_have_them_and_they_load_from_the_daemon_alone(
         assert (await client.get("/v1/status")).status_code == 401
 
 
-async def test_there_is_no_other_file(running: Running) -> None:
+async def test_page_has_no_other_file(running: Running) -> None:
     async with running() as client:
         for name in ("nothing.js", "..%2fapp.py", "__init__.py"):
             assert (await client.get(f"/page/{name}")).json()["code"] == "not_found"
@@ -102,7 +102,7 @@ async def test_page_behind_a_path_of_a_proxy_works(
         assert (await client.get(asked("/a/camera/healthz"))).status_code == 200
 
 
-async def test_who_may_show_it_in_a_frame_is_said(running: Running) -> None:
+async def test_page_says_who_may_show_it_in_a_frame(running: Running) -> None:
     admission = Admission(site=Site(frame_ancestors=("https://home.example",)))
     async with running(admission=admission) as client:
         for path in ("/", "/docs"):
@@ -130,7 +130,7 @@ def test_all_that_a_file_names_is_there(path: Path) -> None:
     assert all((FOLDER / name).is_file() for name in named), named
 
 
-def test_its_words_are_those_of_the_api() -> None:
+def test_page_words_are_those_of_the_api() -> None:
     told = (DOCS / "api.md").read_text()
     (remedies,) = re.findall(r"^\| remedy \| what to do \|\n(.*?)\n\n", told, re.M | re.DOTALL)
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", remedies, re.M))
@@ -145,7 +145,7 @@ def test_its_words_are_those_of_the_api() -> None:
     assert table("THREATS") == names
 
 
-def test_its_digits_are_of_the_sample() -> None:
+def test_page_digits_are_of_the_sample() -> None:
     sheet = np.asarray(Image.open(FOLDER / "digits.png"))
     digits = load_digits()
     rows, columns = sheet.shape[0] // 28, sheet.shape[1] // 28

@@ -47,7 +47,7 @@ async def words(client: httpx.AsyncClient) -> list[tuple[int, str]]:
 YES, NO = (200, "yes"), (503, "no")
 
 
-async def test_whoever_asks_is_told_yes_or_no_and_nothing_else(
+async def test_health_is_told_as_yes_or_no_and_nothing_else(
     running: Running, admission: Admission, tmp_path: Path
 ) -> None:
     assert admission.tokens is not None

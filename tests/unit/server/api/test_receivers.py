@@ -57,7 +57,7 @@ async def test_receivers_are_paired_listed_and_removed(running: Running, bench: 
         assert code(await client.delete(f"{PATH}/{made.id}")) == (404, "unknown_receiver")
 
 
-async def test_what_cannot_be_paired_is_refused(
+async def test_key_that_cannot_be_paired_is_refused(
     running: Running, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with running() as client:
@@ -87,7 +87,7 @@ async def test_what_cannot_be_paired_is_refused(
         assert len(bench.receivers.keys) == 8
 
 
-async def test_it_holds_from_the_next_epoch_on(running: Running, fresh_bench: Bench) -> None:
+async def test_pairing_holds_from_the_next_epoch_on(running: Running, fresh_bench: Bench) -> None:
     bench = fresh_bench
     bench.release = "sealed"
     async with (
@@ -113,7 +113,7 @@ async def test_it_holds_from_the_next_epoch_on(running: Running, fresh_bench: Be
             await sdk.capture()
 
 
-async def test_a_sealed_embedding_is_no_array(running: Running, fresh_bench: Bench) -> None:
+async def test_sealed_embedding_is_no_array(running: Running, fresh_bench: Bench) -> None:
     fresh_bench.release = "sealed"
     fresh_bench.receivers.add("archive", KEY.public)
     async with running(on=fresh_bench) as client:
@@ -180,7 +180,7 @@ async def test_scores_are_told_by_scope(
 
 
 @pytest.mark.parametrize("release", ["sealed", "white"])
-async def test_an_answer_has_one_size_and_the_same_fields_whatever_is_seen(
+async def test_answer_has_one_size_and_the_same_fields_whatever_is_seen(
     running: Running, fresh_bench: Bench, release: Any
 ) -> None:
     fresh_bench.release = release

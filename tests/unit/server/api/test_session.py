@@ -44,7 +44,7 @@ async def log_in(client: httpx.AsyncClient, token: dict[str, str]) -> NewSession
     return NewSession.model_validate_json(answer.content)
 
 
-async def test_a_page_asks_with_both_halves_and_may_do_what_its_token_may(
+async def test_page_asks_with_both_halves_and_may_do_what_its_token_may(
     running: Running, admission: Admission, tmp_path: Path
 ) -> None:
     async with running(admission=admission) as client:
@@ -65,7 +65,7 @@ async def test_a_page_asks_with_both_halves_and_may_do_what_its_token_may(
     assert entry["label"] == "kitchen"
 
 
-async def test_the_cookie_is_for_no_script_and_for_no_other_site(
+async def test_cookie_is_for_no_script_and_for_no_other_site(
     running: Running, admission: Admission
 ) -> None:
     token = bearer(admission, "read:status", lasts=100.0)
@@ -86,7 +86,7 @@ async def test_the_cookie_is_for_no_script_and_for_no_other_site(
             assert answer.json()["half"] not in cookie
 
 
-async def test_a_cookie_alone_is_nobody(running: Running, admission: Admission) -> None:
+async def test_cookie_alone_is_nobody(running: Running, admission: Admission) -> None:
     """What another page, or another port of this host, makes a browser send."""
     async with running(admission=admission) as client:
         begun = await log_in(client, bearer(admission))
@@ -111,7 +111,7 @@ async def test_a_cookie_alone_is_nobody(running: Running, admission: Admission) 
         assert (await client.get("/v1/status", headers=page)).status_code == 401
 
 
-async def test_a_session_makes_no_session_and_ends_when_it_is_told_to(
+async def test_session_makes_no_session_and_ends_when_it_is_told_to(
     running: Running, admission: Admission
 ) -> None:
     async with running(admission=admission) as client:
@@ -126,7 +126,7 @@ async def test_a_session_makes_no_session_and_ends_when_it_is_told_to(
         assert (await client.get("/v1/status", headers=stolen)).status_code == 401
 
 
-async def test_a_revoked_token_ends_the_page_too(running: Running, admission: Admission) -> None:
+async def test_revoked_token_ends_the_page_too(running: Running, admission: Admission) -> None:
     assert admission.tokens is not None
     async with running(admission=admission) as client:
         begun = await log_in(client, bearer(admission))
@@ -136,7 +136,7 @@ async def test_a_revoked_token_ends_the_page_too(running: Running, admission: Ad
         assert (await client.get("/v1/status", headers=page)).status_code == 401
 
 
-async def test_a_page_makes_tokens_that_outlast_its_session(
+async def test_page_makes_tokens_that_outlast_its_session(
     running: Running, admission: Admission
 ) -> None:
     async with running(admission=admission) as client:
@@ -150,7 +150,7 @@ async def test_a_page_makes_tokens_that_outlast_its_session(
         assert answer.json()["expires_at"] is None
 
 
-async def test_where_no_tokens_are_wanted_there_is_nothing_to_log_in_to(running: Running) -> None:
+async def test_session_is_refused_where_no_tokens_are_wanted(running: Running) -> None:
     async with running() as client:
         told = Session.model_validate_json((await client.get("/v1/session")).content)
         assert (told.tokens, set(told.scopes), told.expires_at) == (False, set(SCOPES), None)

@@ -75,7 +75,7 @@ async def test_no_answer_has_more_than_it_should(
     ("method", "path", "media_type"),
     [("POST", "/v1/bundles", BUNDLE_MEDIA_TYPE), ("PUT", simulation.PATH, "image/png")],
 )
-async def test_an_upload_without_the_right_to_it_is_not_read(
+async def test_upload_without_the_right_to_it_is_not_read(
     running: Running, store: TokenStore, method: str, path: str, media_type: str
 ) -> None:
     async def body() -> AsyncIterator[bytes]:

@@ -85,7 +85,7 @@ async def test_quiet_hours_hold_from_the_answer_on(running: Running, bench: Benc
         assert await code(camera.classify()) == "not_looking"
 
 
-async def test_it_looks_by_itself_and_releases_a_label_alone(
+async def test_watch_looks_by_itself_and_releases_a_label_alone(
     running: Running, bench: Bench
 ) -> None:
     bench = dataclasses.replace(bench, watch=OFTEN, raw_budget=1)
@@ -105,7 +105,7 @@ async def test_it_looks_by_itself_and_releases_a_label_alone(
     assert after.position == before.position
 
 
-async def test_what_is_seen_is_an_event_and_a_look_is_none(running: Running, bench: Bench) -> None:
+async def test_sight_is_an_event_and_a_look_is_none(running: Running, bench: Bench) -> None:
     bench = dataclasses.replace(bench, watch=OFTEN)
     bench.sensor.measurement = np.zeros_like(bench.sensor.measurement)
     service = None
@@ -129,7 +129,7 @@ async def test_what_is_seen_is_an_event_and_a_look_is_none(running: Running, ben
     assert gone.reason == "left"
 
 
-async def test_a_lease_of_another_stops_it_and_refuses_to_change_it(
+async def test_lease_of_another_stops_it_and_refuses_to_change_it(
     running: Running, bench: Bench
 ) -> None:
     async with running() as client:
@@ -167,7 +167,7 @@ async def test_while_the_camera_is_measured_it_cannot_be_switched(
         (("read:status", "classify", "read:scores"), True, 17),
     ],
 )
-async def test_who_is_told_what(  # noqa: PLR0917 - fixtures and a table
+async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
     running: Running,
     bench: Bench,
     tmp_path: Path,

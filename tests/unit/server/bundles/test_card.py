@@ -40,7 +40,7 @@ def _card(subject: str) -> PrivacyCard:
     )
 
 
-def test_a_bundle_is_told_with_its_card(bundle_file: Path) -> None:
+def test_bundle_is_told_with_its_card(bundle_file: Path) -> None:
     bundle = read_bundle(bundle_file)
     assert bundle_info(bundle).card is None
     add_card(bundle_file, _card(bundle.subject))

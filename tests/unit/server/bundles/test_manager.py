@@ -130,7 +130,7 @@ def code(answer: httpx.Response) -> str:
     return Problem.model_validate_json(answer.content).code
 
 
-async def test_what_is_taken_in_is_not_used(running: Running, bench: Bench, data: bytes) -> None:
+async def test_bundle_taken_in_is_not_used(running: Running, bench: Bench, data: bytes) -> None:
     async with running() as client:
         before = await active(client)
         installed = await install(client, data)
@@ -171,7 +171,7 @@ async def test_mask_and_classifier_change_together_and_back(
         assert result.label == expected(bundle, bench)
 
 
-async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
+async def test_change_is_an_event(bench: Bench, data: bytes) -> None:
     service = bench.service(bench.camera())
     async with service.open():
 
@@ -192,7 +192,7 @@ async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("faults", [1, 3])
-async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
+async def test_panel_that_fails_keeps_the_bundle_or_is_opaque(
     running: Running, bench: Bench, data: bytes, bundle: Bundle, faults: int
 ) -> None:
     bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
@@ -213,7 +213,7 @@ async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
     assert not (bench.state_dir / "bundles" / "in-use.json").exists()
 
 
-async def test_a_first_mask_that_cannot_be_made_keeps_the_bundle(
+async def test_first_mask_that_cannot_be_made_keeps_the_bundle(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> Epoch:
@@ -229,7 +229,7 @@ async def test_a_first_mask_that_cannot_be_made_keeps_the_bundle(
         assert (await activate(client, installed.digest)).status_code == 200
 
 
-async def test_what_cannot_be_made_durable_is_rolled_back(
+async def test_change_that_cannot_be_made_durable_is_rolled_back(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch, bundle: Bundle
 ) -> None:
     def refuse(*_: object) -> None:
@@ -245,7 +245,7 @@ async def test_what_cannot_be_made_durable_is_rolled_back(
         assert (await label(client)).label == expected(bundle, bench)
 
 
-async def test_a_lone_mask_does_not_fit_a_policy_that_wants_another(
+async def test_lone_mask_does_not_fit_a_policy_that_wants_another(
     running: Running, bundle: Bundle, tmp_path: Path
 ) -> None:
     path = tmp_path / "lone.veilcam"
@@ -258,7 +258,7 @@ async def test_a_lone_mask_does_not_fit_a_policy_that_wants_another(
         assert code(await client.post("/v1/rotation/advance")) == "rotation_impossible"
 
 
-async def test_what_cannot_be_used_is_refused_with_the_reason(
+async def test_bundle_that_cannot_be_used_is_refused_with_the_reason(
     running: Running, bench: Bench, data: bytes, tmp_path: Path, fresh_file: Path
 ) -> None:
     bundle = bench.bundle
@@ -309,7 +309,7 @@ async def test_removed_for_good_but_not_what_is_in_use(running: Running, data: b
         assert code(await activate(client, installed.digest)) == "unknown_bundle"
 
 
-async def test_there_is_room_for_so_many(
+async def test_bundles_have_room_for_so_many(
     running: Running, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bundle_store, "CAPACITY", 1)
@@ -319,7 +319,7 @@ async def test_there_is_room_for_so_many(
         assert (await activate(client, installed.digest)).status_code == 200
 
 
-async def test_an_upload_that_stands_still_holds_up_nothing(bench: Bench, bundle: Bundle) -> None:
+async def test_upload_that_stands_still_holds_up_nothing(bench: Bench, bundle: Bundle) -> None:
     async def slow() -> AsyncIterator[bytes]:
         yield first[:100]
         await go_on.wait()
@@ -403,7 +403,7 @@ async def test_so_many_uploads_at_once(running: Running, data: bytes) -> None:
             assert int(refused.headers["retry-after"]) >= 1
 
 
-async def test_a_full_disk_leaves_nothing_behind(
+async def test_full_disk_leaves_nothing_behind(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -459,7 +459,7 @@ def restarts(bundle: Bundle, tmp_path: Path) -> Restarts:
     return Restarts(bundle, tmp_path)
 
 
-def test_a_restart_goes_on_with_the_bundle_in_use(restarts: Restarts) -> None:
+def test_restart_goes_on_with_the_bundle_in_use(restarts: Restarts) -> None:
     assert restarts.start() == ("task 0", [])
     restarts.use(1, before=0)
     assert restarts.start() == ("task 1", [])
@@ -467,13 +467,13 @@ def test_a_restart_goes_on_with_the_bundle_in_use(restarts: Restarts) -> None:
     assert restarts.start() == ("task 2", [])
 
 
-def test_a_restart_with_another_bundle_uses_that(restarts: Restarts) -> None:
+def test_restart_with_another_bundle_uses_that(restarts: Restarts) -> None:
     restarts.use(1, before=0)
     assert restarts.start(configured=2) == ("task 2", [])
     assert restarts.start() == ("task 1", [])
 
 
-def test_a_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> None:
+def test_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> None:
     restarts.use(1, before=0)
     restarts.use(2, before=1)
     installed = restarts.directory / "bundles" / f"{restarts.digests[2]}.veilcam"
@@ -497,7 +497,7 @@ def test_a_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> 
 
 @pytest.mark.parametrize("name", ["in-use.json", "in-use.json.copy"])
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_is_put_right_from_its_copy(
+def test_damaged_record_is_put_right_from_its_copy(
     restarts: Restarts, damage: Callable[[Path], None], name: str
 ) -> None:
     restarts.use(1, before=0)
@@ -510,7 +510,7 @@ def test_a_damaged_record_is_put_right_from_its_copy(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_lost_record_rolls_nothing_back_in_silence(
+def test_lost_record_rolls_nothing_back_in_silence(
     restarts: Restarts, damage: Callable[[Path], None]
 ) -> None:
     restarts.use(1, before=0)
@@ -525,7 +525,7 @@ def test_a_lost_record_rolls_nothing_back_in_silence(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_bundle_that_is_damaged_is_never_used_and_that_is_told(
+def test_bundle_that_is_damaged_is_never_used_and_that_is_told(
     restarts: Restarts, damage: Callable[[Path], None]
 ) -> None:
     restarts.use(1, before=0)
@@ -535,7 +535,7 @@ def test_a_bundle_that_is_damaged_is_never_used_and_that_is_told(
     assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
-def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
+def test_remains_of_a_killed_upload_are_removed(restarts: Restarts) -> None:
     restarts.use(1, before=0)
     left = restarts.directory / "bundles" / ".new-abc"
     left.write_bytes(b"half")

@@ -22,7 +22,6 @@ from veilcam_client.wire.events import BundleChanged
 from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good, note_start
 from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
-from veilcam_server.daemon import build_service
 from veilcam_server.errors import (
     BundleOlderError,
     BundleStoreError,
@@ -134,7 +133,7 @@ async def test_versions_of_an_owner_rise(running: Running, bench: Bench, make: M
         assert await api.activate(fourth, allow_older="true") == "bundle_older"
 
 
-async def test_what_was_installed_before_there_were_owners_is_shown_and_not_used(
+async def test_bundle_installed_before_there_were_owners_is_shown_and_not_used(
     running: Running, bench: Bench, make: Make
 ) -> None:
     async with running() as client:
@@ -174,7 +173,7 @@ async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, m
     assert [(event.version, event.older) for event in heard] == [(4, False), (3, True), (4, False)]
 
 
-async def test_a_key_to_repeat_with_is_of_one_answer_to_older(running: Running, make: Make) -> None:
+async def test_key_to_repeat_with_is_of_one_answer_to_older(running: Running, make: Make) -> None:
     async with running() as client:
         digest = await Api(client).install(make(3))
         key = {"Idempotency-Key": "one"}
@@ -228,13 +227,13 @@ def starts(tmp_path: Path, make: Make) -> Starts:
     return Starts(tmp_path, make)
 
 
-def test_a_start_with_a_bundle_of_nobody_or_somebody_else_is_refused(starts: Starts) -> None:
+def test_start_with_a_bundle_of_nobody_or_somebody_else_is_refused(starts: Starts) -> None:
     for path in (starts.file(1, None), starts.file(2, OTHER)):
         with pytest.raises(BundleUntrustedError):
             starts.start(path)
 
 
-def test_a_start_remembers_the_highest_version(starts: Starts) -> None:
+def test_start_remembers_the_highest_version(starts: Starts) -> None:
     third, fourth, fifth = starts.file(3), starts.file(4), starts.file(5)
     assert starts.start(fourth) == (4, [])
     assert starts.start(fourth) == (4, [])
@@ -250,7 +249,7 @@ def test_a_start_remembers_the_highest_version(starts: Starts) -> None:
         starts.start(fourth)
 
 
-def test_what_stands_in_for_a_damaged_one_is_an_owner_s_and_said_to_be_older(
+def test_stand_in_for_a_damaged_bundle_is_an_owner_s_and_said_to_be_older(
     starts: Starts,
 ) -> None:
     third, fourth, fifth = starts.file(3), starts.file(4), starts.file(5)
@@ -297,7 +296,7 @@ def test_without_owners_a_start_with_an_older_one_is_asked_for_and_said(starts: 
     assert starts.store(fourth).used.highest == 0  # nobody vouched for it
 
 
-def test_what_somebody_else_made_counts_for_nothing_once_there_are_owners(starts: Starts) -> None:
+def test_versions_of_somebody_else_count_for_nothing_once_there_are_owners(starts: Starts) -> None:
     starts.owners = Owners()
     third = starts.file(3)
     starts.start(third)
@@ -309,7 +308,7 @@ def test_what_somebody_else_made_counts_for_nothing_once_there_are_owners(starts
     assert starts.start(starts.file(4)) == (4, [])
 
 
-def test_a_start_that_cannot_be_remembered_is_said(
+def test_start_that_cannot_be_remembered_is_said(
     starts: Starts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -331,7 +330,7 @@ def test_a_start_that_cannot_be_remembered_is_said(
         ("-----BEGIN PRIVATE KEY-----\n", "line 1: this is no owner's key"),
     ],
 )
-def test_a_file_that_names_no_owner_is_refused(
+def test_file_that_names_no_owner_is_refused(
     tmp_path: Path, content: str | None, reason: str
 ) -> None:
     path = tmp_path / "owners"
@@ -342,14 +341,14 @@ def test_a_file_that_names_no_owner_is_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_names_several_owners(tmp_path: Path) -> None:
+def test_file_names_several_owners(tmp_path: Path) -> None:
     path = tmp_path / "owners"
     path.write_text(f"# of the hall\n{OWNER} {OWNER.short} Ada\n\n  {STRANGER}\n")
     assert Owners.open(path).keys == {OWNER, STRANGER}
     assert Owners.open(None).keys == ()
 
 
-def test_what_is_remembered() -> None:
+def test_versions_used_are_remembered() -> None:
     info = BundleInfo(
         digest="a", task="", mode="pairs", labels=(), embedding_shape=(), pairs=1, version=4
     )
@@ -358,33 +357,6 @@ def test_what_is_remembered() -> None:
     assert OWNERS.remember(info, Used(9, 9, "b")) == Used(4, 9, "b")
 
 
-@pytest.mark.slow
-def test_a_daemon_wants_its_owner_s_bundle(
-    tmp_path: Path, bundle_file: Path, scene_file: Path
-) -> None:
-    owners = tmp_path / "owners"
-    owners.write_text(f"{OWNER}\n")
-    settings = Settings(
-        device="simulated",
-        bundle=bundle_file,
-        scenes=(str(scene_file),),
-        state_dir=tmp_path / "state",
-        owner_keys=owners,
-    )
-    with pytest.raises(StartError, match=r"^this bundle is not signed: this camera takes [^\n]*$"):
-        build_service(settings)
-    for version in (2, 5):
-        sign_bundle(bundle_file, version, KEY)
-        service = build_service(settings)
-        try:
-            assert service.status().bundle.version == version
-        finally:
-            service.stop()
-    sign_bundle(bundle_file, 4, KEY)
-    with pytest.raises(StartError, match="version 5 was in use already"):
-        build_service(settings)
-
-
-def test_an_older_one_is_never_taken_from_owners() -> None:
+def test_older_one_is_never_taken_from_owners() -> None:
     with pytest.raises(ValueError, match="leave out --allow-older"):
         Settings(bundle=Path("a"), owner_keys=Path("b"), allow_older=True)

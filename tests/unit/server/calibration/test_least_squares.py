@@ -32,7 +32,7 @@ def test_shares_that_are_not_negative_are_those_of_scipy(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_power_law_is_that_of_scipy(seed: int) -> None:
+def test_power_law_is_that_of_scipy(seed: int) -> None:
     random = np.random.default_rng(seed)
     weights = np.linspace(0, 1, 16)
     truth = random.uniform([0.5, 0.7, 0.0], [2.0, 2.5, 0.3])
@@ -58,7 +58,7 @@ def test_a_power_law_is_that_of_scipy(seed: int) -> None:
     np.testing.assert_allclose(found.values, wanted.x, atol=2e-3)
 
 
-def test_what_begins_out_of_bounds_ends_within() -> None:
+def test_start_out_of_bounds_ends_within() -> None:
     found = least_squares(
         lambda x: x - [5.0, 0.5],
         lambda _: np.eye(2),
@@ -69,7 +69,7 @@ def test_what_begins_out_of_bounds_ends_within() -> None:
     np.testing.assert_allclose(found.values, [1.0, 0.5], atol=1e-6)
 
 
-def test_it_asks_no_oftener_than_it_may() -> None:
+def test_solver_asks_no_oftener_than_it_may() -> None:
     asked = []
 
     def residuals(x: Values) -> Values:
@@ -82,14 +82,14 @@ def test_it_asks_no_oftener_than_it_may() -> None:
     assert len(asked) <= 4
 
 
-def test_a_value_without_influence_stays() -> None:
+def test_value_without_influence_stays() -> None:
     found = least_squares(
         lambda x: np.array([x[0] - 2.0]), lambda _: np.array([[1.0, 0.0]]), np.array([0.0, 7.0])
     )
     np.testing.assert_allclose(found.values, [2.0, 7.0], atol=1e-6)
 
 
-def test_what_an_evaluation_raises_ends_it() -> None:
+def test_exception_of_an_evaluation_ends_the_solver() -> None:
     def cancelled(_: Values) -> Values:
         raise RuntimeError
 

@@ -36,7 +36,7 @@ def badly() -> tuple[Built, CalibrationRecord]:
 
 
 @pytest.mark.thorough
-def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
+def test_calibration_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
     built, record = badly
     assert built.presented == ["dark", "white card", "lamp"]
     assert built.captures == BUDGET.captures(GEOMETRY)
@@ -82,7 +82,7 @@ def test_decoders_for_what_was_found_expect_what_is_read(
 
 
 @pytest.mark.thorough
-def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
+def test_calibration_finds_stray_light_and_puts_it_back() -> None:
     built = Built(replace(BADLY, stray_light=0.1))
     record = built.calibrate().record
     assert record.stray_light.value == pytest.approx(0.1, abs=0.003)
@@ -103,7 +103,7 @@ def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
 
 
 @pytest.mark.thorough
-def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
+def test_calibration_finds_stuck_lines_and_what_they_pass() -> None:
     imperfections = optical.Imperfections(
         gamma=1.3, dead_rows=(4,), dead_columns=(5,), dead_transmittance=1.0
     )
@@ -139,7 +139,7 @@ def test_settling_is_that_of_the_slowest_line() -> None:
     assert 0 < settling.uncertainty < 0.005
 
 
-def test_the_panel_is_opaque_afterwards_come_what_may() -> None:
+def test_panel_is_opaque_afterwards_come_what_may() -> None:
     built = Built()
     blanks = []
     built.device.display.blank = lambda: blanks.append(built.captures)  # type: ignore[method-assign]
@@ -148,7 +148,7 @@ def test_the_panel_is_opaque_afterwards_come_what_may() -> None:
     assert blanks == [built.captures]
 
 
-def test_a_card_that_is_too_dark_is_refused() -> None:
+def test_card_that_is_too_dark_is_refused() -> None:
     built = Built()
     present = built.present
 
@@ -179,7 +179,7 @@ def test_light_that_drifts_is_refused() -> None:
 
 
 @pytest.mark.thorough
-def test_a_lamp_in_the_wrong_place_is_refused() -> None:
+def test_lamp_in_the_wrong_place_is_refused() -> None:
     built = Built()
     present = built.present
 
@@ -192,7 +192,7 @@ def test_a_lamp_in_the_wrong_place_is_refused() -> None:
         built.calibrate()
 
 
-def test_a_panel_that_shows_nothing_is_refused() -> None:
+def test_panel_that_shows_nothing_is_refused() -> None:
     built = Built()
     show, opened = built.device.display.show, np.full(GEOMETRY.camera.mask_shape, 63, np.uint8)
     built.device.display.show = lambda levels: show(opened)  # type: ignore[method-assign]
@@ -206,7 +206,7 @@ def test_too_many_dead_lines_are_refused() -> None:
         Built(imperfections).calibrate()
 
 
-def test_a_response_that_is_no_power_law_is_refused() -> None:
+def test_response_that_is_no_power_law_is_refused() -> None:
     built = Built()
     show = built.device.display.show
     # Everything above the middle is shown as open: a panel set up for two levels.
@@ -218,6 +218,6 @@ def test_a_response_that_is_no_power_law_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_mask_that_is_too_far_off_is_refused() -> None:
+def test_mask_that_is_too_far_off_is_refused() -> None:
     with pytest.raises(CalibrationError, match=r"turned by|where they should be"):
         Built(optical.Imperfections(rotation=40e-3)).calibrate()

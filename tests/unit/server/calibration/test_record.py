@@ -72,7 +72,7 @@ def key(tmp_path: Path) -> DeviceKey:
     return DeviceKey.open(tmp_path)
 
 
-def test_what_is_written_is_read(tmp_path: Path, key: DeviceKey) -> None:
+def test_record_written_is_read(tmp_path: Path, key: DeviceKey) -> None:
     path = tmp_path / RECORD_NAME
     record = make_record()
     signed = written(path, record, key)
@@ -98,7 +98,7 @@ def test_what_is_written_is_read(tmp_path: Path, key: DeviceKey) -> None:
         (("signature",), "0" * 128),
     ],
 )
-def test_a_record_that_was_changed_is_refused(
+def test_record_that_was_changed_is_refused(
     tmp_path: Path, key: DeviceKey, where: tuple[str, ...], value: object
 ) -> None:
     path = tmp_path / RECORD_NAME
@@ -114,7 +114,7 @@ def test_a_record_that_was_changed_is_refused(
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"record": 1}', "x" * 2_000_000, "\x00\xff"])
-def test_what_is_no_record_is_none(tmp_path: Path, key: DeviceKey, text: str) -> None:
+def test_file_that_is_no_record_is_none(tmp_path: Path, key: DeviceKey, text: str) -> None:
     path = tmp_path / RECORD_NAME
     path.write_text(text)
     faults: list[ProblemError] = []
@@ -123,7 +123,7 @@ def test_what_is_no_record_is_none(tmp_path: Path, key: DeviceKey, text: str) ->
     assert "the camera is taken as it was drawn; run 'veilcamd calibrate' again" in str(faults[0])
 
 
-def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: DeviceKey) -> None:
+def test_record_alone_is_read_where_it_lies(tmp_path: Path, key: DeviceKey) -> None:
     """As one that was made elsewhere is, for ``--calibration``."""
     signed = written(tmp_path / RECORD_NAME, make_record(), key)
     alone = tmp_path / "alone"
@@ -133,7 +133,7 @@ def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: DeviceKey) ->
     assert [path.name for path in alone.iterdir()] == ["given.json"]
 
 
-def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: DeviceKey) -> None:
+def test_later_record_is_the_one_that_counts(tmp_path: Path, key: DeviceKey) -> None:
     path = tmp_path / RECORD_NAME
     written(path, make_record(), key)
     before = path.read_bytes()
@@ -142,7 +142,7 @@ def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: DeviceKey)
     assert RecordFile(path).read() == later
 
 
-def test_an_unwritable_place_is_said(tmp_path: Path, key: DeviceKey) -> None:
+def test_unwritable_place_is_said(tmp_path: Path, key: DeviceKey) -> None:
     with pytest.raises(CalibrationError, match="cannot be written"):
         written(tmp_path / "missing" / RECORD_NAME, make_record(), key)
 
@@ -155,7 +155,7 @@ def geometry_of(bundle: Bundle) -> str:
     return Geometry(bundle.camera, bundle.scene, bundle.embedding).digest
 
 
-def test_the_daemon_takes_the_record_in_its_state_directory(
+def test_daemon_takes_the_record_in_its_state_directory(
     tmp_path: Path, key: DeviceKey, bundle: Bundle
 ) -> None:
     assert open_calibration(settings_for(tmp_path), bundle, key) is None
@@ -169,7 +169,7 @@ def test_the_daemon_takes_the_record_in_its_state_directory(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_is_put_right_and_a_lost_one_refuses_no_start(
+def test_damaged_record_is_put_right_and_a_lost_one_refuses_no_start(
     tmp_path: Path, key: DeviceKey, bundle: Bundle, damage: Callable[[Path], None]
 ) -> None:
     faults: list[ProblemError] = []
@@ -184,7 +184,7 @@ def test_a_damaged_record_is_put_right_and_a_lost_one_refuses_no_start(
     assert [fault.code for fault in faults] == ["state_lost"]
 
 
-def test_a_record_that_another_key_signed_is_told_and_not_used(
+def test_record_that_another_key_signed_is_told_and_not_used(
     tmp_path: Path, key: DeviceKey, bundle: Bundle
 ) -> None:
     faults: list[ProblemError] = []
@@ -210,7 +210,7 @@ def test_a_record_that_another_key_signed_is_told_and_not_used(
         ({"tab": "red"}, "panel's tab"),
     ],
 )
-def test_a_record_of_another_camera_is_refused(
+def test_record_of_another_camera_is_refused(
     tmp_path: Path, key: DeviceKey, bundle: Bundle, changes: dict[str, Any], what: str
 ) -> None:
     record = make_record(**{"geometry": geometry_of(bundle)} | changes)
@@ -229,7 +229,7 @@ def test_geometries_differ() -> None:
     assert len(drawings) == 4
 
 
-def test_the_fence_never_grants_less_than_was_measured(tmp_path: Path) -> None:
+def test_fence_never_grants_less_than_was_measured(tmp_path: Path) -> None:
     signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
     measured = 0.08 + 0.01
     assert settle_time(settings_for(tmp_path), None) == Settings.model_fields["settle"].default
@@ -287,7 +287,7 @@ def test_light_that_went_astray_is_put_back() -> None:
     np.testing.assert_allclose(exposure.embedding, straight, atol=1e-7)
 
 
-def test_a_device_without_a_record_is_left_alone() -> None:
+def test_device_without_a_record_is_left_alone() -> None:
     device = Device(None, Sensor(), simulated=True)  # type: ignore[arg-type]
     signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
     assert calibrated(device, None) is device

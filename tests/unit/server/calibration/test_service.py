@@ -148,7 +148,7 @@ async def measurement(client: httpx.AsyncClient) -> Capture:
     return Capture.model_validate_json((await client.post("/v1/captures")).content)
 
 
-async def test_what_is_found_is_used_from_then_on(
+async def test_calibration_is_used_from_then_on(
     running: Running, bench: Bench, service: Measuring, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settled: list[float] = []
@@ -185,7 +185,9 @@ async def test_what_is_found_is_used_from_then_on(
         assert "calibrating" in [past["state"] for past in counted["states"]]
 
 
-async def test_nobody_disturbs_it(running: Running, bench: Bench, service: Measuring) -> None:
+async def test_calibration_is_disturbed_by_nobody(
+    running: Running, bench: Bench, service: Measuring
+) -> None:
     async with running() as client:
         assert (await start(client)).json()["total"] == 2 * READS * len(SCENES)
         run = await until(client, waits_for("dark"))
@@ -209,7 +211,7 @@ async def test_nobody_disturbs_it(running: Running, bench: Bench, service: Measu
         assert (await client.delete("/v1/calibration")).json()["stage"] == "cancelled"
 
 
-async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
+async def test_calibration_can_be_cancelled_while_it_waits_and_while_it_reads(
     running: Running, bench: Bench, service: Measuring
 ) -> None:
     reads = threading.Event()
@@ -252,7 +254,7 @@ def defective() -> None:
         (defective, "the daemon has a defect: nothing was changed"),
     ],
 )
-async def test_a_failure_changes_nothing(
+async def test_failure_changes_nothing(
     running: Running,
     service: Measuring,
     before_measurement: Callable[[], None],
@@ -267,7 +269,9 @@ async def test_a_failure_changes_nothing(
         assert np.asarray(await measurement(client)) == pytest.approx(1.0)
 
 
-async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measuring) -> None:
+async def test_calibration_that_cannot_be_kept_is_not_used(
+    running: Running, service: Measuring
+) -> None:
     service.fault = CalibrationError("the disk is full: check it")
     async with running() as client:
         run = await measured(client)
@@ -280,7 +284,7 @@ async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measur
 
 
 @pytest.mark.slow
-async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
+async def test_panel_that_fails_afterwards_is_told_by_the_state(
     running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
@@ -295,7 +299,7 @@ async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
                 await asyncio.sleep(0.05)
 
 
-async def test_a_daemon_that_stops_waits_for_no_scene(
+async def test_daemon_that_stops_waits_for_no_scene(
     running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client, asyncio.timeout(200):
@@ -305,7 +309,7 @@ async def test_a_daemon_that_stops_waits_for_no_scene(
     assert bench.display.closed
 
 
-async def test_a_recording_cannot_be_calibrated(running: Running) -> None:
+async def test_recording_cannot_be_calibrated(running: Running) -> None:
     async with running() as client:
         answer = await start(client)
         assert (answer.status_code, answer.json()["code"]) == (409, "calibration_impossible")
@@ -316,7 +320,7 @@ def store(tmp_path: Path) -> TokenStore:
     return TokenStore(tmp_path / "state")
 
 
-async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(
+async def test_calibration_wants_its_scope_and_that_nobody_else_holds_the_camera(
     running: Running, service: Measuring, store: TokenStore
 ) -> None:
     def headers(*scopes: Scope) -> dict[str, str]:
@@ -351,7 +355,7 @@ def scene_of(name: SceneName) -> CalibrationScene:
     return CalibrationScene(name, "Do it.", np.zeros((2, 2), np.float32))
 
 
-async def test_nobody_is_waited_for_for_ever() -> None:
+async def test_confirmation_is_not_waited_for_for_ever() -> None:
     run, _ = run_of(patience=0.01)
     with pytest.raises(CalibrationError, match=r"within 0.01 s.*lamp.*start again"):
         run.wait_for(scene_of("lamp"))
@@ -370,7 +374,7 @@ async def test_every_twentieth_part_is_reported() -> None:
         run.confirm("dark")
 
 
-async def test_a_scene_is_confirmed_once() -> None:
+async def test_scene_is_confirmed_once() -> None:
     run, reports = run_of()
     waiting = threading.Thread(target=run.wait_for, args=(scene_of("dark"),))
     waiting.start()
@@ -383,7 +387,7 @@ async def test_a_scene_is_confirmed_once() -> None:
     assert [each.stage for each in reports] == ["waiting", "measuring"]
 
 
-async def test_whoever_is_told_to_wait_may_confirm_on_the_spot() -> None:
+async def test_caller_told_to_wait_may_confirm_on_the_spot() -> None:
     """As a command does that asks at the terminal, on the thread that measures."""
     stages: list[str] = []
 

@@ -42,7 +42,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return seen
 
 
-def test_a_simulated_camera_has_its_scenes_set(
+def test_simulated_camera_has_its_scenes_set(
     bundle: Bundle, tmp_path: Path, told: dict[str, Any]
 ) -> None:
     built, reports = Built(), list[CalibrationRun]()
@@ -61,7 +61,7 @@ def test_a_simulated_camera_has_its_scenes_set(
     assert built.device.scenes.read().mean() == pytest.approx(0.25)
 
 
-def test_a_person_is_waited_for_behind_an_opaque_panel(
+def test_person_is_waited_for_behind_an_opaque_panel(
     bundle: Bundle, tmp_path: Path, told: dict[str, Any]
 ) -> None:
     built, waits = Built(), threading.Semaphore(0)
@@ -85,7 +85,7 @@ def test_a_person_is_waited_for_behind_an_opaque_panel(
     assert done == ["opaque", "dark", "opaque", "white card"]
 
 
-def test_a_record_is_kept_where_the_daemon_looks(bundle: Bundle, tmp_path: Path) -> None:
+def test_record_is_kept_where_the_daemon_looks(bundle: Bundle, tmp_path: Path) -> None:
     path = tmp_path / "elsewhere" / "record.json"
     service = CalibrationService(
         settings_for(tmp_path, calibration=path), bundle, DeviceKey.open(tmp_path)

@@ -37,7 +37,7 @@ def test_capture_carries_its_epoch_and_proof(bench: Bench) -> None:
     assert camera.present == (captured.epoch, 1)
 
 
-def test_a_capture_names_what_vouches_for_it(bench: Bench) -> None:
+def test_capture_names_what_vouches_for_it(bench: Bench) -> None:
     camera = bench.camera()
     first, again = (camera.capture(release=False).provenance for _ in range(2))
     assert first.mask == again.mask
@@ -74,7 +74,7 @@ def test_never_the_same_pair_twice_in_a_row_and_every_pair_in_time(bench: Bench)
     assert set(order) == {0, 1, 2}
 
 
-def test_the_order_of_masks_differs_from_run_to_run(bench: Bench) -> None:
+def test_order_of_masks_differs_from_run_to_run(bench: Bench) -> None:
     camera = bench.camera()
     orders = set()
     for _ in range(4):
@@ -111,7 +111,7 @@ def test_every_n_captures_never_serves_one_more(bench: Bench) -> None:
         (EveryCaptures(captures=2), 0.0, 2, 0.0),
     ],
 )
-def test_when_a_mask_is_due(
+def test_mask_is_due_by_the_policy(
     policy: RotationOff | EverySeconds | EveryCaptures,
     shown_for: float,
     captures: int,
@@ -132,7 +132,7 @@ def test_jitter_shortens_every_showing_by_its_own_time(bench: Bench) -> None:
     assert camera.due_in() > 990
 
 
-def test_an_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
+def test_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
     camera = bench.camera(settle=0.01)
     bench.sensor.early = 1e-4
     with pytest.raises(FenceError, match="thrown away"):
@@ -141,7 +141,7 @@ def test_an_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
     assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
-def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
+def test_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
     camera = bench.camera()
 
     def swap() -> None:
@@ -156,7 +156,7 @@ def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None
 @pytest.mark.parametrize(
     "measurement", [np.ones((5, 4), np.float32), np.full((4, 5), np.nan, np.float32)]
 )
-def test_a_measurement_that_cannot_be_is_refused(bench: Bench, measurement: np.ndarray) -> None:
+def test_measurement_that_cannot_be_is_refused(bench: Bench, measurement: np.ndarray) -> None:
     camera = bench.camera()
     bench.sensor.measurement = measurement
     with pytest.raises(FenceError):
@@ -189,9 +189,7 @@ def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
     assert camera.present == (bench.epochs[1], 0)
 
 
-def test_a_failed_write_puts_the_mask_before_back(
-    bench: Bench, display_fault: DisplayError
-) -> None:
+def test_failed_write_puts_the_mask_before_back(bench: Bench, display_fault: DisplayError) -> None:
     camera = bench.camera()
     epoch, index = camera.present[0], bench.pair_shown()
     camera.capture(release=False)
@@ -204,7 +202,7 @@ def test_a_failed_write_puts_the_mask_before_back(
     assert camera.capture(release=False).epoch == epoch
 
 
-def test_the_mask_put_back_must_settle_again(bench: Bench, display_fault: DisplayError) -> None:
+def test_mask_put_back_must_settle_again(bench: Bench, display_fault: DisplayError) -> None:
     camera = bench.camera(settle=0.02)
     camera.capture(release=False)
     bench.display.faults = [display_fault]
@@ -216,7 +214,7 @@ def test_the_mask_put_back_must_settle_again(bench: Bench, display_fault: Displa
     assert 0.02 <= captured.exposure.started_after_shown_s <= time.monotonic() - begun
 
 
-def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
+def test_panel_that_fails_twice_is_made_opaque_and_captures_stop(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera()
@@ -234,7 +232,7 @@ def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
     assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
-def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
+def test_panel_that_cannot_even_be_made_opaque_is_safe_too(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera()
@@ -248,7 +246,7 @@ def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
     assert bench.states[-1] == (state, detail)
 
 
-def test_an_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(bench: Bench) -> None:
+def test_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(bench: Bench) -> None:
     camera = bench.camera()
     index = bench.pair_shown()
     bench.display.faults = [ZeroDivisionError()]
@@ -271,7 +269,7 @@ def test_defects_of_a_driver_end_opaque_or_are_told(bench: Bench, defects: int) 
     assert camera.state == ("ready", None, None)
 
 
-def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
+def test_mask_that_is_due_but_fails_is_not_used_once_more(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
@@ -283,7 +281,7 @@ def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
     assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
-def test_a_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
+def test_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
     camera = bench.camera()
 
     def fail() -> None:
@@ -318,7 +316,7 @@ def test_stopping_shows_opaque_and_ends_captures(bench: Bench) -> None:
         camera.rotate()
 
 
-def test_a_first_mask_that_fails_leaves_the_panel_opaque(
+def test_first_mask_that_fails_leaves_the_panel_opaque(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     bench.display.faults = [display_fault]
@@ -328,7 +326,7 @@ def test_a_first_mask_that_fails_leaves_the_panel_opaque(
     assert bench.states[-1][0] == "safe"
 
 
-def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
+def test_holder_of_the_device_has_it_alone(bench: Bench) -> None:
     camera = bench.camera()
     camera.capture(release=False)
     tests = bench.test.runs
@@ -347,7 +345,9 @@ def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
     assert camera.capture(release=False).epoch == bench.epochs[-1] != bench.epochs[0]
 
 
-def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: DisplayError) -> None:
+def test_exclusive_use_that_ends_early_gives_the_device_back(
+    bench: Bench, display_fault: DisplayError
+) -> None:
     camera = bench.camera()
     bench.display.faults = [display_fault]  # it cannot be made opaque
     with pytest.raises(DisplayError), camera.exclusive():
@@ -375,7 +375,7 @@ def fails(error: Exception) -> Callable[[], None]:
     return fail
 
 
-def test_a_sensor_that_fails_twice_in_a_row_is_given_up_until_a_test_has_passed(
+def test_sensor_that_fails_twice_in_a_row_is_given_up_until_a_test_has_passed(
     bench: Bench,
 ) -> None:
     camera = bench.camera()

@@ -209,7 +209,7 @@ def test_every_measurement_is_of_its_own_mask_alone(rigged: Rigged) -> None:
     [Crystal(scan=0.4, settle=0.0), Crystal(scan=0.0, settle=0.4)],
     ids=["late scan", "slow crystal"],
 )
-def test_a_panel_that_takes_longer_is_waited_for_and_refused_if_it_is_not(
+def test_panel_that_takes_longer_is_waited_for_and_refused_if_it_is_not(
     crystal: Crystal, rigged: Rigged
 ) -> None:
     patient = rigged(crystal=crystal, granted=0.41)
@@ -233,7 +233,7 @@ def test_old_frames_in_the_queue_are_passed_over(rigged: Rigged) -> None:
         assert not mixed(level, captured)
 
 
-def test_a_frame_of_an_exposure_not_yet_applied_is_passed_over(
+def test_frame_of_an_exposure_not_yet_applied_is_passed_over(
     rigged: Rigged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[Exposure] = []
@@ -261,7 +261,7 @@ class Dim(Plain):
         return 0.1 * super().collect(scenes, response)
 
 
-def test_a_frame_that_is_given_out_twice_is_an_error_and_not_a_measurement(rigged: Rigged) -> None:
+def test_frame_that_is_given_out_twice_is_an_error_and_not_a_measurement(rigged: Rigged) -> None:
     rig = rigged()
     rig.capture()
     rig.faults.stuck = True
@@ -271,7 +271,7 @@ def test_a_frame_that_is_given_out_twice_is_an_error_and_not_a_measurement(rigge
     assert not mixed(*rig.capture())
 
 
-def test_a_change_that_is_asked_for_during_readout_waits(rigged: Rigged) -> None:
+def test_change_that_is_asked_for_during_readout_waits(rigged: Rigged) -> None:
     rig = rigged(policy=RotationOff())
     changing: list[threading.Thread] = []
 
@@ -291,7 +291,7 @@ def test_a_change_that_is_asked_for_during_readout_waits(rigged: Rigged) -> None
     assert not mixed(before, captured)
 
 
-def test_a_mask_that_is_changed_behind_the_engine_s_back_mixes_by_rows(rigged: Rigged) -> None:
+def test_mask_that_is_changed_behind_the_engine_s_back_mixes_by_rows(rigged: Rigged) -> None:
     """The fake camera reads out row by row: what the fence is there for does exist."""
     rig = rigged(crystal=Crystal(scan=0.0, settle=0.0), policy=RotationOff())
     before = rig.shown[-1]

@@ -139,7 +139,7 @@ def test_names_keys_and_masks_never_repeat(sealed_bench: Bench) -> None:
         assert preparation.take().name not in {epoch.name for epoch in epochs}
 
 
-def test_an_epoch_that_nobody_took_is_erased_at_the_end(sealed_bench: Bench) -> None:
+def test_epoch_that_nobody_took_is_erased_at_the_end(sealed_bench: Bench) -> None:
     preparation = alone(sealed_bench)
     preparation.begin()
     preparation.wait()
@@ -151,7 +151,7 @@ def test_an_epoch_that_nobody_took_is_erased_at_the_end(sealed_bench: Bench) -> 
     assert is_gone(epoch)
 
 
-def test_a_receiver_opens_the_key_and_finds_the_mask(
+def test_receiver_opens_the_key_and_finds_the_mask(
     sealed_bench: Bench, fresh_bundle: Bundle
 ) -> None:
     camera = sealed_bench.camera(policy=PER_CAPTURE)
@@ -184,7 +184,7 @@ def test_a_receiver_opens_the_key_and_finds_the_mask(
     camera.stop()
 
 
-def test_the_key_is_gone_before_its_mask_is_shown(
+def test_key_is_gone_before_its_mask_is_shown(
     sealed_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[tuple[EpochKey, bytes]] = []
@@ -206,7 +206,7 @@ def test_the_key_is_gone_before_its_mask_is_shown(
 
 
 @pytest.mark.parametrize("step", ["make", "seal"])
-def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
+def test_preparation_that_fails_leaves_no_key_and_no_mask(
     sealed_bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     keys: list[EpochKey] = []
@@ -238,7 +238,7 @@ def is_gone_mask(mask: Mask) -> bool:
     return not any(array.any() for array in pieces(mask))
 
 
-def test_an_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: Bench) -> None:
+def test_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: Bench) -> None:
     with closing(alone(sealed_bench)) as preparation:
         epoch, other = preparation.take(), preparation.take()
         epoch.hold()
@@ -256,7 +256,7 @@ def test_an_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: 
         assert is_gone(other)
 
 
-def test_a_stored_mask_outlives_its_epochs(bench: Bench) -> None:
+def test_stored_mask_outlives_its_epochs(bench: Bench) -> None:
     with closing(alone(bench)) as preparation:
         epoch = preparation.take()
     levels = epoch.mask.levels.copy()
@@ -266,7 +266,7 @@ def test_a_stored_mask_outlives_its_epochs(bench: Bench) -> None:
     assert np.array_equal(epoch.mask.levels, levels)
 
 
-def test_the_mask_before_is_erased_when_another_is_shown(either: Bench, shown: list[Epoch]) -> None:
+def test_mask_before_is_erased_when_another_is_shown(either: Bench, shown: list[Epoch]) -> None:
     camera = either.camera()
     for number in range(1, 4):
         assert active(camera) is shown[number - 1]
@@ -278,7 +278,7 @@ def test_the_mask_before_is_erased_when_another_is_shown(either: Bench, shown: l
     assert all(is_gone(epoch) for epoch in shown)  # the one prepared in advance, too
 
 
-def test_a_capture_in_flight_is_read_by_its_own_reader_and_then_its_mask_goes(
+def test_capture_in_flight_is_read_by_its_own_reader_and_then_its_mask_goes(
     either: Bench, shown: list[Epoch]
 ) -> None:
     camera = either.camera()
@@ -310,7 +310,7 @@ def test_two_captures_behind_one_mask_both_have_it(either: Bench, shown: list[Ep
     assert is_gone(shown[0])
 
 
-def test_an_exposure_that_fails_lets_go_of_its_mask(either: Bench, shown: list[Epoch]) -> None:
+def test_exposure_that_fails_lets_go_of_its_mask(either: Bench, shown: list[Epoch]) -> None:
     camera = either.camera()
 
     def fail() -> None:
@@ -326,7 +326,7 @@ def test_an_exposure_that_fails_lets_go_of_its_mask(either: Bench, shown: list[E
     camera.stop()
 
 
-def test_a_mask_that_is_put_back_is_whole_and_the_one_that_failed_is_gone(
+def test_mask_that_is_put_back_is_whole_and_the_one_that_failed_is_gone(
     either: Bench, shown: list[Epoch], display_fault: DisplayError
 ) -> None:
     camera = either.camera()
@@ -345,7 +345,7 @@ def test_a_mask_that_is_put_back_is_whole_and_the_one_that_failed_is_gone(
 
 
 @pytest.mark.parametrize("faults", [2, 3])
-def test_a_mask_that_cannot_be_put_back_is_gone(
+def test_mask_that_cannot_be_put_back_is_gone(
     either: Bench, shown: list[Epoch], faults: int
 ) -> None:
     camera = either.camera()
@@ -358,7 +358,7 @@ def test_a_mask_that_cannot_be_put_back_is_gone(
 
 
 @pytest.mark.parametrize("by", ["rotation", "test"])
-def test_a_panel_that_fails_its_test_loses_its_mask(
+def test_panel_that_fails_its_test_loses_its_mask(
     either: Bench, shown: list[Epoch], by: str
 ) -> None:
     camera = either.camera()
@@ -372,7 +372,7 @@ def test_a_panel_that_fails_its_test_loses_its_mask(
     camera.stop()
 
 
-def test_a_camera_that_is_lent_has_no_mask_left(either: Bench, shown: list[Epoch]) -> None:
+def test_camera_that_is_lent_has_no_mask_left(either: Bench, shown: list[Epoch]) -> None:
     camera = either.camera()
     with camera.exclusive():
         assert is_gone(shown[0])
@@ -403,7 +403,7 @@ def test_another_bundle_takes_all_masks_of_the_one_before_along(
     assert is_gone(first)
 
 
-def test_a_first_epoch_that_is_refused_is_gone(either: Bench, shown: list[Epoch]) -> None:
+def test_first_epoch_that_is_refused_is_gone(either: Bench, shown: list[Epoch]) -> None:
     camera = either.camera()
     first = camera.first_of(either.source)
     camera.stop()
@@ -413,7 +413,7 @@ def test_a_first_epoch_that_is_refused_is_gone(either: Bench, shown: list[Epoch]
     assert shown
 
 
-def test_who_receives_from_now_on_holds_for_the_next_mask(sealed_bench: Bench) -> None:
+def test_receivers_hold_from_the_next_mask_on(sealed_bench: Bench) -> None:
     camera = sealed_bench.camera()
     camera.await_next()
     other = ReceiverKey.generate()
@@ -432,7 +432,7 @@ def test_who_receives_from_now_on_holds_for_the_next_mask(sealed_bench: Bench) -
     camera.stop()
 
 
-def test_a_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhile(
+def test_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhile(
     sealed_bench: Bench, fresh_bundle: Bundle
 ) -> None:
     camera = sealed_bench.camera()
@@ -448,7 +448,7 @@ def test_a_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhi
     camera.stop()
 
 
-def test_who_was_removed_receives_nothing_more_behind_a_mask_that_stays(
+def test_removed_receiver_gets_nothing_more_behind_a_mask_that_stays(
     sealed_bench: Bench,
 ) -> None:
     camera = sealed_bench.camera()
@@ -543,7 +543,7 @@ def test_captures_are_timed_to_the_second(sealed_bench: Bench) -> None:
     camera.stop()
 
 
-def test_what_was_not_to_leave_does_not(either: Bench) -> None:
+def test_embedding_that_was_not_to_leave_does_not(either: Bench) -> None:
     camera = either.camera()
     captured = camera.capture(release=False)
     assert captured.form is None
@@ -656,7 +656,7 @@ def test_while_any_mask_may_release_something_those_that_are_spent_wait(bench: B
         assert preparation.spent
 
 
-def test_an_embedding_whose_count_cannot_be_written_stays(
+def test_embedding_whose_count_cannot_be_written_stays(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.raw_budget = 1
@@ -675,7 +675,7 @@ def test_an_embedding_whose_count_cannot_be_written_stays(
 
 
 @pytest.mark.parametrize("broken", ["early", "light"])
-def test_an_exposure_of_which_nothing_leaves_costs_no_budget(bench: Bench, broken: str) -> None:
+def test_exposure_of_which_nothing_leaves_costs_no_budget(bench: Bench, broken: str) -> None:
     bench.raw_budget = 1
     camera = bench.camera()
     if broken == "early":
@@ -707,7 +707,7 @@ def test_nothing_leaves_where_nothing_is_released_or_nobody_receives(fresh_bench
     camera.stop()
 
 
-def test_a_lone_mask_has_a_new_epoch_where_other_terms_hold(lone_bench: Bench) -> None:
+def test_lone_mask_has_a_new_epoch_where_other_terms_hold(lone_bench: Bench) -> None:
     lone_bench.release = "none"
     camera = lone_bench.camera()
     first = camera.present[0]
@@ -721,7 +721,7 @@ def test_a_lone_mask_has_a_new_epoch_where_other_terms_hold(lone_bench: Bench) -
     camera.stop()
 
 
-def test_the_form_of_an_epoch_is_that_of_its_preparation(fresh_bench: Bench) -> None:
+def test_form_of_an_epoch_is_that_of_its_preparation(fresh_bench: Bench) -> None:
     camera = fresh_bench.camera()
     camera.await_next()
     fresh_bench.release = "raw"

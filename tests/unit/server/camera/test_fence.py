@@ -33,13 +33,13 @@ def test_times_that_can_be_kept(settle: float, timeout: float) -> None:
 
 
 @pytest.mark.parametrize("settle", [-1e-9, -0.1, math.inf, math.nan])
-def test_a_settling_time_that_cannot_be(settle: float) -> None:
+def test_settling_time_that_cannot_be(settle: float) -> None:
     with pytest.raises(ValueError, match=r"settle = .* s is not valid: use a number >= 0"):
         Fence(settle=settle)
 
 
 @pytest.mark.parametrize("timeout", [0.0, -1.0, math.inf, math.nan])
-def test_a_timeout_that_cannot_be(timeout: float) -> None:
+def test_timeout_that_cannot_be(timeout: float) -> None:
     with pytest.raises(ValueError, match=r"timeout = .* s is not valid: use a number > 0"):
         Fence(timeout=timeout)
 
@@ -48,7 +48,7 @@ def test_a_timeout_that_cannot_be(timeout: float) -> None:
     ("started", "ended"),
     [(10.5, 11.5), (10.0, 11.0), (11.0, 12.0), (10.0, 12.0), (11.0, 11.0)],
 )
-def test_an_exposure_within_the_fence_is_taken_up_to_its_ends(started: float, ended: float) -> None:
+def test_exposure_within_the_fence_is_taken_up_to_its_ends(started: float, ended: float) -> None:
     check(started, ended)
 
 
@@ -64,18 +64,18 @@ def test_an_exposure_within_the_fence_is_taken_up_to_its_ends(started: float, en
         (11.0, math.nan),
     ],
 )
-def test_an_exposure_that_leaves_the_fence_is_thrown_away(started: float, ended: float) -> None:
+def test_exposure_that_leaves_the_fence_is_thrown_away(started: float, ended: float) -> None:
     with pytest.raises(FenceError, match="thrown away: try again"):
         check(started, ended)
 
 
-def test_how_much_too_early_it_began_is_said() -> None:
+def test_exposure_says_how_much_too_early_it_began() -> None:
     with pytest.raises(FenceError, match=r"began -0\.2500 s after the mask had settled"):
         check(9.75, 11.0)
 
 
 @pytest.mark.parametrize("shape", [(5, 4), (4, 5, 1), (20,), ()])
-def test_a_measurement_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+def test_measurement_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(FenceError, match="check that the bundle fits this device"):
         check(10.5, 11.5, np.ones(shape, np.float32))
 

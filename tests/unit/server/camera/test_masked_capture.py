@@ -59,7 +59,7 @@ def test_nothing_leaves_that_was_not_to(fresh_bench: Bench) -> None:
         capture.release(0.0)
 
 
-def test_it_holds_its_epoch_until_it_is_done(fresh_bench: Bench) -> None:
+def test_capture_holds_its_epoch_until_it_is_done(fresh_bench: Bench) -> None:
     capture = captured(fresh_bench, "white")
     epoch = capture.active
     epoch.hold()
@@ -72,14 +72,14 @@ def test_it_holds_its_epoch_until_it_is_done(fresh_bench: Bench) -> None:
     assert epoch.erased
 
 
-def test_it_shows_neither_its_measurement_nor_what_is_its_own_business(fresh_bench: Bench) -> None:
+def test_capture_shows_neither_its_measurement_nor_its_internals(fresh_bench: Bench) -> None:
     shown = repr(captured(fresh_bench, "white"))
     assert "measurement" not in shown
     assert "_done" not in shown
 
 
 @pytest.mark.parametrize("made", [MaskedCapture, Epoch])
-def test_what_it_counts_is_nobody_s_to_give(made: type) -> None:
+def test_capture_number_is_nobody_s_to_give(made: type) -> None:
     own = {field.name: field.init for field in fields(made) if field.name.startswith("_")}
     assert own
     assert not any(own.values())

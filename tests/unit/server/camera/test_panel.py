@@ -96,7 +96,7 @@ def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> N
     assert not rig.display.shown
 
 
-def test_the_first_mask_is_tested_shown_and_told(rig: Rig) -> None:
+def test_first_mask_is_tested_shown_and_told(rig: Rig) -> None:
     first = rig.show()
     showing = rig.panel.active
     assert showing is not None
@@ -122,7 +122,7 @@ def test_while_the_proof_holds_a_mask_is_changed_without_a_test(rig: Rig) -> Non
 
 
 @pytest.mark.parametrize("late", [0.0, 5.0])
-def test_a_mask_is_changed_after_a_test_once_that_is_due(rig: Rig, late: float) -> None:
+def test_mask_is_changed_after_a_test_once_that_is_due(rig: Rig, late: float) -> None:
     rig.show()
     rig.clock.sleep(EVERY + late)
     assert rig.panel.proven_for() == 0
@@ -131,7 +131,7 @@ def test_a_mask_is_changed_after_a_test_once_that_is_due(rig: Rig, late: float) 
     assert rig.states == [TESTED, READY] * 2
 
 
-def test_a_test_that_is_not_due_touches_nothing(rig: Rig) -> None:
+def test_test_that_is_not_due_touches_nothing(rig: Rig) -> None:
     rig.show()
     showing = rig.panel.active
     rig.clock.sleep(EVERY - 0.5)
@@ -188,7 +188,7 @@ def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
         (ZeroDivisionError("level 37"), ("safe", "the self test broke off", "report_defect")),
     ],
 )
-def test_a_test_that_fails_ends_opaque_and_says_who_is_to_blame(
+def test_test_that_fails_ends_opaque_and_says_who_is_to_blame(
     rig: Rig, fault: Exception, state: tuple[str, str, str]
 ) -> None:
     rig.show()
@@ -202,7 +202,7 @@ def test_a_test_that_fails_ends_opaque_and_says_who_is_to_blame(
 
 
 @pytest.mark.parametrize("fault", [SelfTestError("dark"), UndecidedError("dark")])
-def test_a_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: Exception) -> None:
+def test_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: Exception) -> None:
     rig.test.faults = [fault, fault]
     for _ in range(2):
         with pytest.raises(SelfTestError):
@@ -212,7 +212,7 @@ def test_a_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: E
     assert rig.states == [TESTED, failed, READY]
 
 
-def test_a_failed_write_puts_the_mask_before_back(rig: Rig) -> None:
+def test_failed_write_puts_the_mask_before_back(rig: Rig) -> None:
     first = rig.show()
     showing = rig.panel.active
     rig.display.faults = [DisplayError("no answer")]
@@ -233,7 +233,7 @@ def test_a_failed_write_puts_the_mask_before_back(rig: Rig) -> None:
         (KeyboardInterrupt(), "report_defect"),
     ],
 )
-def test_a_first_mask_that_fails_leaves_the_panel_opaque(
+def test_first_mask_that_fails_leaves_the_panel_opaque(
     rig: Rig, fault: Exception, remedy: str
 ) -> None:
     rig.display.faults = [fault]
@@ -244,7 +244,7 @@ def test_a_first_mask_that_fails_leaves_the_panel_opaque(
     assert not rig.masks
 
 
-def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> None:
+def test_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> None:
     rig.test.faults = [UndecidedError("it is too dark")]
     rig.display.faults = [DisplayError("no answer")]
     with pytest.raises(UndecidedError):
@@ -253,7 +253,7 @@ def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> 
     assert rig.panel.state == rig.states[-1] == ("safe", reason, "check_panel_wiring")
 
 
-def test_what_helps_is_that_against_the_last_error(rig: Rig) -> None:
+def test_remedy_is_that_of_the_last_error(rig: Rig) -> None:
     rig.show()
     rig.display.faults = [DisplayError("no answer"), DisplayError("no bus", remedy="run_doctor")]
     with pytest.raises(DisplayError):
@@ -266,7 +266,7 @@ def test_what_helps_is_that_against_the_last_error(rig: Rig) -> None:
     assert rig.panel.state == rig.states[-1] == ("safe", reason, "report_defect")
 
 
-def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> None:
+def test_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> None:
     rig.show()
     rig.panel.suspend()
     assert rig.panel.active is None
@@ -279,7 +279,7 @@ def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> N
     assert rig.states == [TESTED, READY, lent, TESTED, READY]
 
 
-def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
+def test_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
     rig.show()
     rig.panel.suspend()
     rig.display.show(np.ones((9, 5), np.uint8))  # what the borrower left
@@ -299,7 +299,7 @@ def test_after_the_end_no_mask_counts_as_shown(rig: Rig) -> None:
     assert len(rig.states) == told  # a state is told once
 
 
-def test_the_masks_after_that_of_another_source_come_from_there(rig: Rig, bench: Bench) -> None:
+def test_masks_after_that_of_another_source_come_from_there(rig: Rig, bench: Bench) -> None:
     rig.show()
     other = load_pairs(bench.bundle)
     rig.panel.show(rig.preparation.first_of(other), other)
@@ -307,7 +307,7 @@ def test_the_masks_after_that_of_another_source_come_from_there(rig: Rig, bench:
     assert any(after.mask is mask for mask in other._masks)
 
 
-def test_a_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
+def test_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
     rig = Rig(lone_bench)
     rig.show()
     assert not rig.preparing
@@ -318,7 +318,7 @@ def test_a_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
     rig.preparation.close()
 
 
-def test_nobody_has_to_listen(bench: Bench) -> None:
+def test_panel_needs_no_listener(bench: Bench) -> None:
     rig = Rig(bench)
     panel = MaskedPanel(rig.display, rig.preparation, rig.proof, rig.guard)
     panel.show(rig.preparation.take())

@@ -96,7 +96,7 @@ def held(bench: Bench, gated: Gated, policy: RotationPolicy) -> MaskedCamera:
     return camera
 
 
-def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gated: Gated) -> None:
+def test_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gated: Gated) -> None:
     camera = settled(bench.camera(policy=EveryCaptures(captures=1)))
     assert camera.preparation.ready
     assert (camera.preparation.count, len(gated.keys)) == (2, 2)
@@ -121,14 +121,14 @@ def test_nothing_is_prepared_after_the_end(bench: Bench) -> None:
         preparation.begin()
 
 
-def test_what_is_prepared_tells_nobody_its_mask(bench: Bench) -> None:
+def test_prepared_epoch_tells_nobody_its_mask(bench: Bench) -> None:
     with contextlib.closing(alone(bench)) as preparation:
         prepared = preparation.take()
     assert prepared.name in repr(prepared)
     assert "mask" not in repr(prepared)
 
 
-def test_a_dump_of_threads_names_the_one_that_prepares(bench: Bench, gated: Gated) -> None:
+def test_dump_of_threads_names_the_one_that_prepares(bench: Bench, gated: Gated) -> None:
     settled(bench.camera())
     assert gated.threads == {"preparation_0"}
 
@@ -164,7 +164,7 @@ def test_late_and_told_to_reuse_but_no_more_often_than_that(bench: Bench, gated:
     assert (camera.lateness.late, camera.lateness.reused) == (1, 2)
 
 
-def test_a_mask_that_is_due_by_time_may_be_reused_too(bench: Bench, gated: Gated) -> None:
+def test_mask_that_is_due_by_time_may_be_reused_too(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EverySeconds(seconds=0.1, reuse=1))
     while camera.due_in() > 0:
         time.sleep(0.01)
@@ -179,7 +179,7 @@ def test_nothing_is_late_that_nobody_waits_for(bench: Bench, gated: Gated) -> No
     assert camera.lateness.late == 0
 
 
-def test_a_preparation_that_fails_is_not_a_licence_to_reuse(bench: Bench, gated: Gated) -> None:
+def test_preparation_that_fails_is_not_a_licence_to_reuse(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EveryCaptures(captures=1, reuse=100))
     gated.fault = RuntimeError("no decoder")
     gated.gate.set()
@@ -207,7 +207,7 @@ def test_every_mask_has_an_epoch_of_its_own_even_if_it_failed(
     assert len(set(bench.epochs)) == 4
 
 
-def test_a_wait_without_end_is_ended(
+def test_wait_without_end_is_ended(
     bench: Bench, gated: Gated, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = held(bench, gated, EveryCaptures(captures=1))
@@ -219,9 +219,7 @@ def test_a_wait_without_end_is_ended(
     assert camera.capture(release=False).epoch == bench.epochs[2]
 
 
-def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
-    bench: Bench, gated: Gated
-) -> None:
+def test_panel_is_not_blanked_before_a_preparation_has_ended(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EveryCaptures(captures=1))
     stopping = threading.Thread(target=camera.stop)
     stopping.start()
@@ -232,7 +230,7 @@ def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
 
 
 @pytest.mark.anyio
-async def test_the_status_says_so(running: Running, bench: Bench, gated: Gated) -> None:
+async def test_status_says_so(running: Running, bench: Bench, gated: Gated) -> None:
     import asyncio
 
     async with running(policy=EveryCaptures(captures=1, reuse=1)) as client:
@@ -271,7 +269,7 @@ def test_closing_twice_does_no_harm(bench: Bench) -> None:
     preparation.close()
 
 
-def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
+def test_waiter_for_a_preparation_is_let_go_when_it_is_called_off(
     bench: Bench, gated: Gated
 ) -> None:
     preparation = alone(bench)

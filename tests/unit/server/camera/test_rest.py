@@ -25,7 +25,7 @@ def opaque(bench: Bench) -> bool:
     return not bench.display.shown[-1].any()
 
 
-def test_the_panel_is_opaque_and_nothing_is_taken(bench: Bench) -> None:
+def test_panel_is_opaque_and_nothing_is_taken(bench: Bench) -> None:
     camera = bench.camera()
     camera.rest("it is night")
     assert opaque(bench)
@@ -56,7 +56,7 @@ def test_nothing_is_due_meanwhile(bench: Bench) -> None:
     camera.stop()
 
 
-def test_it_wakes_with_another_mask_after_a_test_if_that_is_due(bench: Bench) -> None:
+def test_camera_wakes_with_another_mask_after_a_test_if_that_is_due(bench: Bench) -> None:
     camera = bench.camera(test_every=0.01)
     runs, epochs = bench.test.runs, list(bench.epochs)
     camera.rest("it is night")
@@ -72,7 +72,7 @@ def test_it_wakes_with_another_mask_after_a_test_if_that_is_due(bench: Bench) ->
     camera.stop()
 
 
-def test_a_panel_that_fails_is_made_opaque_later(bench: Bench, display_fault: DisplayError) -> None:
+def test_panel_that_fails_is_made_opaque_later(bench: Bench, display_fault: DisplayError) -> None:
     camera = bench.camera()
     bench.display.faults += [display_fault, display_fault]
     with pytest.raises(DisplayError, match="cannot be made opaque"):
@@ -88,7 +88,7 @@ def test_a_panel_that_fails_is_made_opaque_later(bench: Bench, display_fault: Di
     camera.stop()
 
 
-def test_a_self_test_that_fails_at_waking_leaves_it_opaque_and_is_tried_again(
+def test_self_test_that_fails_at_waking_leaves_it_opaque_and_is_tried_again(
     bench: Bench,
 ) -> None:
     camera = bench.camera()
@@ -104,7 +104,7 @@ def test_a_self_test_that_fails_at_waking_leaves_it_opaque_and_is_tried_again(
     camera.stop()
 
 
-def test_who_has_the_device_keeps_it_until_he_gives_it_back(bench: Bench) -> None:
+def test_holder_of_the_device_keeps_it_until_he_gives_it_back(bench: Bench) -> None:
     camera = bench.camera()
     with camera.exclusive():
         camera.rest("it is night")
@@ -120,7 +120,7 @@ def test_who_has_the_device_keeps_it_until_he_gives_it_back(bench: Bench) -> Non
     camera.stop()
 
 
-def test_a_camera_that_stops_neither_rests_nor_wakes(bench: Bench) -> None:
+def test_camera_that_stops_neither_rests_nor_wakes(bench: Bench) -> None:
     camera: MaskedCamera = bench.camera()
     camera.stop()
     shown = len(bench.display.shown)

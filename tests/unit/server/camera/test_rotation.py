@@ -22,7 +22,7 @@ from veilcam_server.camera.epochs import Epoch
         (0.25, 7.5, 0.0),  # overdue is due, not less than that
     ],
 )
-def test_a_mask_s_time_is_the_period_less_its_jitter_less_what_has_passed(
+def test_mask_s_time_is_the_period_less_its_jitter_less_what_has_passed(
     chance: float, shown_for: float, expected: float
 ) -> None:
     policy = EverySeconds(seconds=8.0, jitter=4.0)
@@ -37,12 +37,12 @@ def test_without_jitter_chance_changes_nothing() -> None:
 @pytest.mark.parametrize(
     ("captures", "expected"), [(0, math.inf), (2, math.inf), (3, 0.0), (4, 0.0)]
 )
-def test_a_mask_serves_as_many_captures_as_asked_for(captures: int, expected: float) -> None:
+def test_mask_serves_as_many_captures_as_asked_for(captures: int, expected: float) -> None:
     policy = EveryCaptures(captures=3)
     assert due_in(policy, shown_for=1e9, captures=captures, chance=0.5) == expected
 
 
-def test_a_mask_stays_for_ever_where_rotation_is_off() -> None:
+def test_mask_stays_for_ever_where_rotation_is_off() -> None:
     assert due_in(RotationOff(), shown_for=1e9, captures=10**9, chance=0.5) == math.inf
 
 
@@ -65,7 +65,7 @@ def make_active() -> ActiveMask:
     return ActiveMask(epoch, since=0.0, completed_at=0.0)
 
 
-def test_a_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() -> None:
+def test_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() -> None:
     active, lateness = make_active(), Lateness()
     assert (lateness.late, lateness.reused) == (0, 0)
     assert [active.reuse(2, lateness) for _ in range(4)] == [True, True, False, False]

@@ -175,9 +175,7 @@ SPOT[1, 3] = 1.0
 
 @pytest.mark.parametrize("tab", TABS)
 @pytest.mark.parametrize("picture", [PICTURE, SPOT, np.ones(SCENE.shape, np.float32)])
-def test_a_panel_that_does_what_it_is_told_passes(
-    tab: str, picture: npt.NDArray[np.float32]
-) -> None:
+def test_panel_that_does_what_it_is_told_passes(tab: str, picture: npt.NDArray[np.float32]) -> None:
     rig = Rig(tab, tab, picture=picture)
     rig.test()
     assert rig.exposures == CAPTURES
@@ -190,7 +188,7 @@ def test_any_pattern_passes(seed: int) -> None:
     Rig(snr_db=25.0).test(seed)
 
 
-def test_a_panel_with_poor_contrast_passes_until_it_hides_too_little() -> None:
+def test_panel_with_poor_contrast_passes_until_it_hides_too_little() -> None:
     Rig(floor=0.3).test()
     with pytest.raises(SelfTestError, match="does not hide the scene"):
         Rig(floor=0.7).test()
@@ -204,7 +202,7 @@ def test_a_panel_with_poor_contrast_passes_until_it_hides_too_little() -> None:
         pytest.param(PanelFaults(lost=2), id="every second write lost"),
     ],
 )
-def test_a_panel_that_is_transparent_is_found(fault: PanelFaults) -> None:
+def test_panel_that_is_transparent_is_found(fault: PanelFaults) -> None:
     with pytest.raises(SelfTestError, match="does not hide the scene") as caught:
         Rig(faults=fault).test()
     assert not isinstance(caught.value, UndecidedError)
@@ -212,9 +210,7 @@ def test_a_panel_that_is_transparent_is_found(fault: PanelFaults) -> None:
 
 @pytest.mark.parametrize("code", [0x28, 0x10, 0x01], ids=["off", "asleep", "reset"])
 @pytest.mark.parametrize("moment", [-1, 0, 3, 6, 7])
-def test_a_panel_that_goes_off_or_to_sleep_is_found_whenever_it_does(
-    code: int, moment: int
-) -> None:
+def test_panel_that_goes_off_or_to_sleep_is_found_whenever_it_does(code: int, moment: int) -> None:
     rig = Rig()
     if moment < 0:
         rig.command(code)
@@ -224,7 +220,7 @@ def test_a_panel_that_goes_off_or_to_sleep_is_found_whenever_it_does(
 
 
 @pytest.mark.parametrize("kept", range(1, CAPTURES - 1))
-def test_a_panel_that_is_stuck_is_found_from_wherever_it_sticks(kept: int) -> None:
+def test_panel_that_is_stuck_is_found_from_wherever_it_sticks(kept: int) -> None:
     """After so many pictures it stays as it is."""
     rig = Rig()
 
@@ -260,19 +256,19 @@ def test_one_lost_pattern_is_found() -> None:
 
 @pytest.mark.parametrize(("panel", "driver"), [("black", "red"), ("red", "black")])
 @pytest.mark.parametrize("picture", [PICTURE, SPOT])
-def test_a_tab_that_turns_the_mask_is_found(
+def test_tab_that_turns_the_mask_is_found(
     panel: str, driver: str, picture: npt.NDArray[np.float32]
 ) -> None:
     with pytest.raises(SelfTestError, match="turned or mirrored: check --panel-tab"):
         Rig(panel, driver, picture=picture).test()
 
 
-def test_a_tab_that_shifts_the_mask_is_left_to_the_calibration() -> None:
+def test_tab_that_shifts_the_mask_is_left_to_the_calibration() -> None:
     """A shifted mask in front of an unknown scene is a mask in front of a shifted one."""
     Rig("green", "red").test()
 
 
-def test_an_embedding_too_coarse_to_see_where_a_shadow_is_passes() -> None:
+def test_embedding_too_coarse_to_see_where_a_shadow_is_passes() -> None:
     rig = Rig("black", "red")
     test = OpticalSelfTest(CAMERA, SCENE, Embedding(2, 2), clock=rig.clock)
     assert min(test._moved) < 2
@@ -296,7 +292,7 @@ class _Binned:
         return self._sensor.light(not_before, timeout)
 
 
-def test_a_dark_room_decides_nothing() -> None:
+def test_dark_room_decides_nothing() -> None:
     rig = Rig(picture=np.zeros(SCENE.shape, np.float32))
     with pytest.raises(UndecidedError, match="too dark"):
         rig.test()
@@ -327,12 +323,12 @@ def test_light_that_changes_decides_nothing() -> None:
         rig.test()
 
 
-def test_a_crystal_slower_than_the_fence_is_found() -> None:
+def test_crystal_slower_than_the_fence_is_found() -> None:
     with pytest.raises(SelfTestError):
         Rig(settle=0.5).test()
 
 
-def test_a_camera_that_fails_is_not_called_the_panels_failure() -> None:
+def test_camera_that_fails_is_not_called_the_panels_failure() -> None:
     rig = Rig()
     rig.camera_faults.hangs = 1
     with pytest.raises(SensorError):
@@ -395,7 +391,7 @@ class Unasked:
 
 
 @pytest.mark.slow
-def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
+def test_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
     """The whole way on a real clock: driver, re-initialisation, test, mask, capture."""
     rig = Rig(settle=0.002, clock=time.monotonic, sleep=time.sleep)
     budget = ReleaseBudget(tmp_path, 0)

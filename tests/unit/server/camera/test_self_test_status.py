@@ -84,7 +84,7 @@ def test_without_proof_the_panel_is_opaque_and_nothing_is_captured(
     assert 0 < camera.test_due_in() <= 600
 
 
-def test_a_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
+def test_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
     camera = unstarted(bench)
     for fault in (ZeroDivisionError("63 17 4"), KeyboardInterrupt()):
         bench.test.faults = [fault]
@@ -94,7 +94,7 @@ def test_a_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
         assert not bench.display.shown[-1].any()
 
 
-def test_a_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
+def test_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = unstarted(bench)
@@ -106,7 +106,7 @@ def test_a_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
     assert "cannot be made opaque" in str(detail)
 
 
-def test_a_panel_that_was_set_up_anew_is_tested_before_the_next_capture(bench: Bench) -> None:
+def test_panel_that_was_set_up_anew_is_tested_before_the_next_capture(bench: Bench) -> None:
     camera = bench.camera(settle=0.02)
     camera.capture(release=False)
     epoch, mask = camera.present[0], bench.pair_shown()
@@ -123,7 +123,7 @@ def test_a_panel_that_was_set_up_anew_is_tested_before_the_next_capture(bench: B
     assert bench.test.runs == 2
 
 
-def test_a_proof_grows_old(bench: Bench) -> None:
+def test_proof_grows_old(bench: Bench) -> None:
     camera = bench.camera(test_every=1e-6)
     for runs in (2, 3, 4):
         camera.capture(release=False)
@@ -133,7 +133,7 @@ def test_a_proof_grows_old(bench: Bench) -> None:
     assert [state for state, _ in bench.states] == ["self-test", "ready"]
 
 
-def test_a_test_that_fails_later_stops_captures(bench: Bench) -> None:
+def test_test_that_fails_later_stops_captures(bench: Bench) -> None:
     camera = bench.camera()
     bench.display.resets += 1
     bench.test.faults = [SelfTestError("the panel does not hide")]
@@ -147,7 +147,7 @@ def test_a_test_that_fails_later_stops_captures(bench: Bench) -> None:
     assert camera.capture(release=False).epoch == bench.epochs[-1] != before
 
 
-def test_the_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(
+def test_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera()
@@ -159,7 +159,7 @@ def test_the_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(
     assert not bench.display.shown[-1].any()
 
 
-def test_a_failed_rotation_after_a_test_is_back_at_the_mask_before(
+def test_failed_rotation_after_a_test_is_back_at_the_mask_before(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
@@ -173,7 +173,7 @@ def test_a_failed_rotation_after_a_test_is_back_at_the_mask_before(
     assert camera.present == (epoch, 1)
 
 
-def test_a_lone_pair_is_tested_and_comes_back(lone_bench: Bench) -> None:
+def test_lone_pair_is_tested_and_comes_back(lone_bench: Bench) -> None:
     camera = lone_bench.camera()
     epoch = camera.present[0]
     lone_bench.display.resets += 1
@@ -186,7 +186,7 @@ def test_a_lone_pair_is_tested_and_comes_back(lone_bench: Bench) -> None:
     assert camera.capture(release=False).epoch == lone_bench.epochs[-1] != epoch
 
 
-def test_a_stopping_camera_is_tested_no_more(bench: Bench) -> None:
+def test_stopping_camera_is_tested_no_more(bench: Bench) -> None:
     camera = bench.camera()
     camera.stop()
     assert camera.test_due_in() == float("inf")
@@ -194,7 +194,7 @@ def test_a_stopping_camera_is_tested_no_more(bench: Bench) -> None:
         camera.test_if_due()
 
 
-def test_how_long_a_proof_holds(bench: Bench) -> None:
+def test_proof_holds_so_long(bench: Bench) -> None:
     clock = Clock()
     device = Device(bench.display, bench.sensor, simulated=True)
     status = SelfTestStatus(bench.test, device, Fence(0.0), every=10.0, clock=clock)
@@ -216,7 +216,7 @@ def test_how_long_a_proof_holds(bench: Bench) -> None:
     assert status.age == 2
 
 
-def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) -> None:
+def test_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) -> None:
     class Resetting:
         def run(self, device: Device, fence: Fence) -> float:
             bench.display.resets += 1
@@ -229,7 +229,7 @@ def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) ->
 
 
 @pytest.mark.parametrize("every", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_test_cannot_be_put_off_for_ever(bench: Bench, every: float) -> None:
+def test_test_cannot_be_put_off_for_ever(bench: Bench, every: float) -> None:
     device = Device(bench.display, bench.sensor, simulated=True)
     with pytest.raises(ValueError, match="every"):
         SelfTestStatus(bench.test, device, Fence(0.0), every=every)

@@ -45,7 +45,7 @@ COMMAND = ["calibrate", "--simulate", "--settle", "0.02", "--exposure", "0.001",
 
 
 @pytest.mark.thorough
-def test_the_command_keeps_what_was_found(
+def test_command_keeps_what_was_found(
     fresh_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The measurement itself is tested elsewhere: here it is that of another camera."""
@@ -105,7 +105,7 @@ def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Pa
     assert set(tmp_path.iterdir()) == before
 
 
-def test_a_person_is_told_what_to_set(
+def test_person_is_told_what_to_set(
     fresh_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
@@ -136,7 +136,7 @@ def test_a_person_is_told_what_to_set(
     assert not (tmp_path / "calibration.json").exists()
 
 
-def test_the_lamp_is_in_the_middle() -> None:
+def test_lamp_is_in_the_middle() -> None:
     for shape in ((28, 28), (7, 9), (3, 2)):
         image = lamp(Scene(*shape)).image
         assert np.array_equal(image, image[::-1, ::-1])
@@ -166,7 +166,7 @@ def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle) -> None:
 
 
 @pytest.mark.anyio
-async def test_the_record_is_served(running: Running, bench: Bench) -> None:
+async def test_record_is_served(running: Running, bench: Bench) -> None:
     async with running() as client:
         answer = await client.get("/v1/calibration")
         assert answer.json() == {"signed": None, "run": None}

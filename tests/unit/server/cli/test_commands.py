@@ -41,7 +41,7 @@ def test_every_command_that_answers_speaks_json() -> None:
     assert silent == PERSONS
 
 
-def test_its_version_is_that_of_the_package() -> None:
+def test_version_is_that_of_the_package() -> None:
     assert runner.invoke(app, ["--version"]).stdout == f"veilcamd {__version__}\n"
 
 
@@ -73,6 +73,6 @@ def test_scopes_are_all_told_and_an_unknown_one_is_named_once(command: typer.Typ
     assert "--scope 'classify'" not in line
 
 
-def test_a_state_folder_that_begins_with_a_scene_is_its_owner_s_alone(tmp_path: Path) -> None:
+def test_state_folder_that_begins_with_a_scene_is_its_owner_s_alone(tmp_path: Path) -> None:
     set_scene(tmp_path / "state" / "scene.npy", load_digits(), 0)
     assert stat.S_IMODE((tmp_path / "state").stat().st_mode) == 0o700

@@ -154,7 +154,7 @@ def test_other_commands_have_the_options_of_serve(
 
 
 @pytest.mark.parametrize("command", ["serve", "calibrate", "doctor"])
-def test_an_option_that_is_none_is_refused(told: list[Any], command: str) -> None:
+def test_option_that_is_none_is_refused(told: list[Any], command: str) -> None:
     result = runner.invoke(app, [command, "--no-such-option"])
     assert result.exit_code == 2
     assert not told

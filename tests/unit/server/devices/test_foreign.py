@@ -183,7 +183,7 @@ def chain(error: BaseException | None) -> list[BaseException]:
         ("Picamera2", use_camera, "camera 0"),
     ],
 )
-def test_a_library_that_raises_whatever_is_blamed_and_nothing_of_it_kept(
+def test_library_that_raises_whatever_is_blamed_and_nothing_of_it_kept(
     install: Callable[[Library], None],
     door: str,
     use: Callable[[], None],
@@ -217,7 +217,7 @@ def test_chips_that_cannot_be_looked_at_are_left_out_or_blamed(
 
 @pytest.mark.parametrize("name", ["spidev", "gpiod", "picamera2", "libcamera"])
 @pytest.mark.parametrize("error", WHATEVER, ids=IDS)
-def test_a_package_that_raises_whatever_at_its_import_is_named(
+def test_package_that_raises_whatever_at_its_import_is_named(
     monkeypatch: pytest.MonkeyPatch, name: str, error: Callable[[], Exception]
 ) -> None:
     def fail(_: str) -> None:
@@ -246,7 +246,7 @@ def test_gpiod_1_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize("taken", [None, 3])
-def test_a_short_write_is_named(install: Callable[[Library], None], taken: int | None) -> None:
+def test_short_write_is_named(install: Callable[[Library], None], taken: int | None) -> None:
     """As py-spidev tells of it, or as a count."""
     install(Library("", OSError))
     spi = LinuxSpi.open("/dev/spidev0.0", 1_000_000)
@@ -267,7 +267,7 @@ def test_a_short_write_is_named(install: Callable[[Library], None], taken: int |
 @pytest.mark.parametrize(
     "door", ["create_video_configuration", "configure", "camera_configuration", "set_controls"]
 )
-def test_a_camera_that_cannot_be_set_up_is_let_go_and_not_kept(
+def test_camera_that_cannot_be_set_up_is_let_go_and_not_kept(
     monkeypatch: pytest.MonkeyPatch, door: str, error: Callable[[], Exception]
 ) -> None:
     """Neither by who holds the error, nor by the sensor that is to open it again."""
@@ -304,7 +304,7 @@ def test_a_camera_that_cannot_be_set_up_is_let_go_and_not_kept(
 
 @pytest.mark.parametrize("error", WHATEVER, ids=IDS)
 @pytest.mark.parametrize("door", ["captured_request", "_take"])
-def test_a_capture_that_fails_is_the_camera_s(
+def test_capture_that_fails_is_the_camera_s(
     monkeypatch: pytest.MonkeyPatch, door: str, error: Callable[[], Exception]
 ) -> None:
     def fail(*_: object, **__: object) -> None:
@@ -317,7 +317,7 @@ def test_a_capture_that_fails_is_the_camera_s(
     assert chain(caught.value) == [caught.value]
 
 
-def test_a_half_made_picamera2_is_dead_before_the_error_is_told(
+def test_half_made_picamera2_is_dead_before_the_error_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It refers to itself, as the real one does, and the collector need not run by itself."""

@@ -85,7 +85,7 @@ class Bench:
         return self.sensor.capture(self.clock.now + after, timeout)
 
 
-def test_a_measurement_is_the_light_without_the_black_level() -> None:
+def test_measurement_is_the_light_without_the_black_level() -> None:
     bench = Bench(full_scale=2.0)
     embedding = bench.capture().embedding
     assert embedding.shape == SHAPE
@@ -101,7 +101,7 @@ def test_pixels_are_averaged_where_they_are() -> None:
     np.testing.assert_allclose(bench.capture().embedding, (mean - 256) / (4095 - 256), rtol=1e-6)
 
 
-def test_the_light_of_a_frame_is_its_mean_at_the_exposure_to_begin_with() -> None:
+def test_light_of_a_frame_is_its_mean_at_the_exposure_to_begin_with() -> None:
     bench = Bench(full_scale=2.0, exposures=ExposureRange(0.002, factor=8))
     frame = np.full((60, 82), 256 + 384, np.uint16)
     bench.cameras[0]._light = lambda *_: frame
@@ -122,7 +122,7 @@ def test_the_light_of_a_frame_is_its_mean_at_the_exposure_to_begin_with() -> Non
     assert bench.cameras[0]._controls[-1][1]["ExposureTime"] / 1e6 == asked
 
 
-def test_an_exposure_tells_when_its_rows_collected_light() -> None:
+def test_exposure_tells_when_its_rows_collected_light() -> None:
     bench = Bench()
     asked = bench.clock.now + 0.5
     exposure = bench.sensor.capture(asked, 5.0)
@@ -139,7 +139,7 @@ def test_no_frame_begins_before_the_fence(asked: float) -> None:
     assert Bench().sensor.capture(asked, 5.0).started_at >= asked
 
 
-def test_the_mode_is_pinned_and_all_that_adapts_is_off() -> None:
+def test_mode_is_pinned_and_all_that_adapts_is_off() -> None:
     bench = Bench(exposures=ExposureRange(0.05))
     asked = bench.cameras[0]._configuration
     assert asked["raw"]["size"] == asked["sensor"]["output_size"] == (82, 60)
@@ -168,7 +168,7 @@ def test_compressed_and_packed_frames_are_refused(layout: str) -> None:
         Bench(faults=faults)
 
 
-def test_a_camera_without_raw_frames_is_refused() -> None:
+def test_camera_without_raw_frames_is_refused() -> None:
     clock = Clock()
 
     class Webcam(FakePicamera2):
@@ -188,7 +188,7 @@ def test_a_camera_without_raw_frames_is_refused() -> None:
         )
 
 
-def test_a_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(camera: FakePicamera2, controls: object) -> None:
         refused.append(camera)
         raise RuntimeError("Control AnalogueGain is not advertised by libcamera")
@@ -201,7 +201,7 @@ def test_a_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("exposure", [0.0001, 0.001, 0.01])
-def test_an_exposure_of_whole_lines_is_taken_though_images_were_amplified(exposure: float) -> None:
+def test_exposure_of_whole_lines_is_taken_though_images_were_amplified(exposure: float) -> None:
     mode = replace(MODE, line_time=15.17e-6)
     bench = Bench(mode=mode, exposures=ExposureRange(exposure))
     measurement = bench.capture()
@@ -244,7 +244,7 @@ def test_old_frames_and_those_of_another_exposure_or_gain_are_passed_over() -> N
     assert bench.cameras[0].closed
 
 
-def test_an_exposure_that_never_applies_ends_in_a_timeout_that_says_so() -> None:
+def test_exposure_that_never_applies_ends_in_a_timeout_that_says_so() -> None:
     bench = Bench(exposures=ExposureRange(0.01, factor=8))
     bench.level = lambda _: 10_000.0
     bench.faults.deaf = True
@@ -253,13 +253,13 @@ def test_an_exposure_that_never_applies_ends_in_a_timeout_that_says_so() -> None
         bench.capture(timeout=0.3)
 
 
-def test_a_wrong_gain_is_never_used() -> None:
+def test_wrong_gain_is_never_used() -> None:
     bench = Bench(faults=CameraFaults(gain=1.5))
     with pytest.raises(SensorTimeoutError, match=r"gain was 1\.500, not 1"):
         bench.capture(timeout=0.3)
 
 
-def test_a_dim_scene_is_exposed_longer_within_bounds_and_reads_the_same() -> None:
+def test_dim_scene_is_exposed_longer_within_bounds_and_reads_the_same() -> None:
     bench = Bench(exposures=ExposureRange(0.002, factor=4))
     bench.level = lambda _: 100_000.0
     first = bench.capture()
@@ -271,13 +271,13 @@ def test_a_dim_scene_is_exposed_longer_within_bounds_and_reads_the_same() -> Non
     np.testing.assert_allclose(first.embedding, second.embedding, rtol=1e-2)
 
 
-def test_a_fixed_exposure_stays() -> None:
+def test_fixed_exposure_stays() -> None:
     bench = Bench(exposures=ExposureRange(0.002))
     bench.level = lambda _: 1_000.0
     assert {bench.capture().integration for _ in range(4)} == {0.002}
 
 
-def test_a_saturated_frame_is_taken_again_with_less_light() -> None:
+def test_saturated_frame_is_taken_again_with_less_light() -> None:
     bench = Bench(exposures=ExposureRange(0.01, factor=16))
     bench.level = lambda _: 1_000_000.0
     exposure = bench.capture()
@@ -295,7 +295,7 @@ def test_light_that_is_too_bright_for_any_exposure_is_an_error() -> None:
     assert len(bench.cameras) == 1  # light is no fault of the camera's
 
 
-def test_a_camera_that_hangs_is_closed_and_opened_again() -> None:
+def test_camera_that_hangs_is_closed_and_opened_again() -> None:
     bench = Bench()
     bench.faults.hangs = 1
     began = bench.clock.now
@@ -308,7 +308,7 @@ def test_a_camera_that_hangs_is_closed_and_opened_again() -> None:
     assert len(bench.cameras) == 2
 
 
-def test_a_camera_that_comes_back_as_another_one_is_an_error() -> None:
+def test_camera_that_comes_back_as_another_one_is_an_error() -> None:
     bench = Bench()
     bench.faults.hangs = 1
     with pytest.raises(SensorTimeoutError):
@@ -322,7 +322,7 @@ def test_a_camera_that_comes_back_as_another_one_is_an_error() -> None:
     bench.capture()
 
 
-def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
+def test_exceptions_of_picamera2_tell_nothing_of_the_frame() -> None:
     bench = Bench()
 
     def fail(*_: object) -> Raw:
@@ -335,7 +335,7 @@ def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
     assert caught.value.__context__ is None
 
 
-def test_a_camera_that_cannot_even_be_closed_is_not_opened_again_before_it_is(
+def test_camera_that_cannot_even_be_closed_is_not_opened_again_before_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("veilcam_server.devices.imx477._CLOSING", 0.01)
@@ -381,7 +381,7 @@ def test_nothing_of_a_raw_frame_stays_in_memory() -> None:
     assert not array.view(np.uint16)[:, : MODE.columns].any()
 
 
-def test_it_is_closed_when_told() -> None:
+def test_camera_is_closed_when_told() -> None:
     bench = Bench()
     bench.sensor.close()
     bench.sensor.close()
@@ -404,7 +404,7 @@ def test_impossible_exposures_are_refused(values: tuple[float, float]) -> None:
         (PermissionError(13, "Permission denied"), "dma_heap.*group video"),
     ],
 )
-def test_a_camera_that_cannot_be_opened_says_what_to_do(
+def test_camera_that_cannot_be_opened_says_what_to_do(
     error: Exception, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
@@ -425,7 +425,7 @@ def test_a_camera_that_cannot_be_opened_says_what_to_do(
         ),
     ],
 )
-def test_what_is_not_installed_is_named(
+def test_missing_package_is_named(
     missing: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: str) -> None:

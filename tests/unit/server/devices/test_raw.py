@@ -25,13 +25,13 @@ RNG = np.random.default_rng(2)
         ((152, 203), (13, 17)),
     ],
 )
-def test_it_is_the_area_average(raw: tuple[int, int], embedding: tuple[int, int]) -> None:
+def test_embedding_is_the_area_average(raw: tuple[int, int], embedding: tuple[int, int]) -> None:
     frame = RNG.integers(0, 65536, raw, np.uint16)
     expected = area_average(torch.from_numpy(frame.astype(float)), *embedding).numpy()
     np.testing.assert_allclose(Binning(raw, embedding).means(frame), expected, rtol=1e-12)
 
 
-def test_a_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
+def test_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
     frame = np.array([[1, 2, 10, 4, 5]], np.uint16)
     expected = [Fraction(1 + 2 + 5) / Fraction(5, 2), Fraction(5 + 4 + 5) / Fraction(5, 2)]
     assert Binning((1, 5), (1, 2)).means(frame)[0] == pytest.approx(
@@ -39,7 +39,7 @@ def test_a_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
     )
 
 
-def test_the_brightest_frame_of_the_real_sensor_does_not_overflow() -> None:
+def test_brightest_frame_of_the_real_sensor_does_not_overflow() -> None:
     frame = np.full((1520, 2028), 65535, np.uint16)
     for boxes in ((1, 1), (3, 4), (24, 32)):
         np.testing.assert_allclose(Binning(frame.shape, boxes).means(frame), 65535, rtol=1e-12)
@@ -52,7 +52,7 @@ def test_frames_with_padded_lines_are_read_as_they_lie() -> None:
     assert np.array_equal(means, others)
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_frame_that_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="use 1 to 4"):
         Binning((4, 9), (5, 3))
     with pytest.raises(ValueError, match="use 1 to 9"):

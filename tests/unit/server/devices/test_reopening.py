@@ -100,9 +100,7 @@ def test_nothing_is_opened_before_it_is_needed_and_then_once(
     assert part.closed == 1
 
 
-def test_a_sensor_is_what_it_will_be_before_it_is_opened(
-    part: Part, sensor: ReopeningSensor
-) -> None:
+def test_sensor_is_what_it_will_be_before_it_is_opened(part: Part, sensor: ReopeningSensor) -> None:
     assert (sensor.name, sensor.full_scale, part.opened) == ("sensor", 2.0, 0)
     assert sensor.capture(0.0, 1.0).embedding == 1
     sensor.close()
@@ -112,7 +110,7 @@ def test_a_sensor_is_what_it_will_be_before_it_is_opened(
 @pytest.mark.parametrize(
     "fault", [DisplayError("no answer"), ZeroDivisionError(), KeyboardInterrupt()]
 )
-def test_what_failed_is_closed_and_opened_again_at_once(
+def test_part_that_failed_is_closed_and_opened_again_at_once(
     part: Part, display: ReopeningDisplay, fault: BaseException
 ) -> None:
     display.show(LEVELS)
@@ -179,7 +177,7 @@ def test_opaque_waits_for_no_pause_and_makes_none_longer(
     display.show(LEVELS)
 
 
-def test_the_light_is_no_reason_to_open_it_again(part: Part, sensor: ReopeningSensor) -> None:
+def test_light_is_no_reason_to_open_it_again(part: Part, sensor: ReopeningSensor) -> None:
     part.fault = LightError("saturated")
     for _ in range(3):
         with pytest.raises(LightError):
@@ -204,7 +202,7 @@ def test_one_that_cannot_be_closed_is_opened_again_all_the_same(
     assert part.opened == 2
 
 
-def test_what_the_last_failure_asked_for_is_asked_for_again(
+def test_remedy_of_the_last_failure_is_asked_for_again(
     part: Part, display: ReopeningDisplay
 ) -> None:
     part.absent = DisplayError("no answer", remedy="check_disk")

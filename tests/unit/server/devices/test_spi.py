@@ -98,7 +98,7 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Gpiod:
     return fake
 
 
-def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
+def test_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
     spi = LinuxSpi.open("/dev/spidev0.0", 15_000_000)
     device = spidev.last
     assert (device.path, device.mode, device.max_speed_hz) == ("/dev/spidev0.0", 0, 15_000_000)
@@ -108,7 +108,7 @@ def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
     assert device.closed
 
 
-def test_a_question_and_its_answer_are_one_message_of_two_halves(
+def test_question_and_its_answer_are_one_message_of_two_halves(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[int, int]] = []
@@ -139,7 +139,7 @@ def test_a_question_and_its_answer_are_one_message_of_two_halves(
         assert not spidev.last.sent
 
 
-def test_a_bus_that_fails_when_it_is_read_is_an_error(
+def test_bus_that_fails_when_it_is_read_is_an_error(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def kernel(*_: object) -> int:
@@ -150,13 +150,13 @@ def test_a_bus_that_fails_when_it_is_read_is_an_error(
         LinuxSpi.open("/dev/spidev0.0", 1_000_000).read(0x09, 5)
 
 
-def test_a_bus_of_one_wire_is_turned_around_by_the_kernel(spidev: type[SpiDev]) -> None:
+def test_bus_of_one_wire_is_turned_around_by_the_kernel(spidev: type[SpiDev]) -> None:
     LinuxSpi.open("/dev/spidev0.0", 1_000_000, one_wire=True)
     assert spidev.last.threewire
     assert (spidev.last.path, spidev.last.mode) == ("/dev/spidev0.0", 0)
 
 
-def test_a_bus_that_cannot_turn_around_says_how_to_wire_it(
+def test_bus_that_cannot_turn_around_says_how_to_wire_it(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As that of a Raspberry Pi 5."""
@@ -175,7 +175,7 @@ def test_a_bus_that_cannot_turn_around_says_how_to_wire_it(
     assert spidev.last.closed
 
 
-def test_a_bus_that_is_not_there_says_what_to_do(
+def test_bus_that_is_not_there_says_what_to_do(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SpiDev, "fault", FileNotFoundError(2, "No such file or directory"))
@@ -185,12 +185,12 @@ def test_a_bus_that_is_not_there_says_what_to_do(
 
 
 @pytest.mark.parametrize("path", ["/dev/spi0", "/dev/spidev0", "spidev0.0", "/dev/spidev0.0/x"])
-def test_a_name_that_spidev_cannot_have_is_refused(spidev: type[SpiDev], path: str) -> None:
+def test_name_that_spidev_cannot_have_is_refused(spidev: type[SpiDev], path: str) -> None:
     with pytest.raises(DeviceMissingError, match=r"is no bus of spidev's: give --spi"):
         LinuxSpi.open(path, 1_000_000)
 
 
-def test_the_second_bus_and_device_are_opened_as_they_are_called(spidev: type[SpiDev]) -> None:
+def test_second_bus_and_device_are_opened_as_they_are_called(spidev: type[SpiDev]) -> None:
     LinuxSpi.open("/dev/spidev10.1", 1_000_000)
     assert spidev.last.path == "/dev/spidev10.1"
 
@@ -221,7 +221,7 @@ def test_lines_that_are_taken_say_what_to_do(gpiod: Gpiod) -> None:
         LinuxLines.open("pinctrl-rp1", data=25, reset=24)
 
 
-def test_a_chip_is_found_by_its_label(
+def test_chip_is_found_by_its_label(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     labels = {"gpiochip0": "gpio-brcmstb", "gpiochip4": "pinctrl-rp1", "gpiochip9": None}
@@ -259,7 +259,7 @@ def test_a_chip_is_found_by_its_label(
     ("used", "consumer", "told"),
     [(False, "", None), (True, "fan", "fan"), (True, None, "the kernel")],
 )
-def test_who_has_a_line(
+def test_holder_of_a_line_is_named(
     monkeypatch: pytest.MonkeyPatch, *, used: bool, consumer: str | None, told: str | None
 ) -> None:
     @contextmanager
@@ -273,7 +273,7 @@ def test_who_has_a_line(
     assert linux_bus.line_user(Path("/dev/gpiochip4"), 25) == told
 
 
-def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(

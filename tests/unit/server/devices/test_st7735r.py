@@ -104,7 +104,7 @@ def emulated(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
-def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> None:
+def test_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> None:
     panel, emulator = emulated(clock, tab)
     for _ in range(1000):
         levels = draw()
@@ -114,7 +114,7 @@ def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> N
     assert not emulator.framebuffer().any()
 
 
-def test_the_simulated_panel_is_driven_as_the_real_one(clock: Clock) -> None:
+def test_simulated_panel_is_driven_as_the_real_one(clock: Clock) -> None:
     assert DRIVER.emulate is not None
     set_up, emulator = DRIVER.emulate(CAMERA, scan=0.0, settle=0.5, read_back=False, clock=clock)
     panel = set_up()
@@ -146,7 +146,7 @@ def test_any_window_lands_where_it_should(tab: Tab, window: Window, clock: Clock
         ("green", b"\x00\x3a\x00\x4a", b"\x00\x46\x00\x5b"),
     ],
 )
-def test_a_mask_change_sends_the_window_and_nothing_else(
+def test_mask_change_sends_the_window_and_nothing_else(
     tab: str, columns: bytes, rows: bytes, wire: Wire
 ) -> None:
     levels = draw()
@@ -168,7 +168,7 @@ def test_a_mask_change_sends_the_window_and_nothing_else(
     assert sum(len(sent) for _, sent in wire.sent) <= 4500 < FULL_FRAME == 61_440
 
 
-def test_it_waits_where_the_data_sheet_says_so(wire: Wire) -> None:
+def test_driver_waits_where_the_data_sheet_says_so(wire: Wire) -> None:
     began = wire.clock.now
     sent: dict[bytes, float] = {}
     write = wire.write
@@ -251,7 +251,7 @@ PLAIN = {"window_columns": "00 38 00 48", "window_rows": "00 45 00 5A"}
         ),
     ],
 )
-def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock: Clock) -> None:
+def test_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock: Clock) -> None:
     done: list[tuple[str, object]] = []
 
     class Noting:
@@ -299,7 +299,7 @@ def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock:
     assert done == wanted
 
 
-def test_what_is_known_of_the_panel() -> None:
+def test_panel_facts_are_known() -> None:
     assert DRIVER.name == "ST7735R"
     assert {tab.name: tab.memory for tab in TABS.values()} == {
         "red": (128, 160),
@@ -321,13 +321,13 @@ def test_pixels_that_the_window_cuts_are_opaque_outside(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("cycle", [(), (0, 1, 2)])
-def test_a_panel_with_or_without_colours_is_driven(cycle: tuple[int, ...], wire: Wire) -> None:
+def test_panel_with_or_without_colours_is_driven(cycle: tuple[int, ...], wire: Wire) -> None:
     camera = Camera(panel=Panel(filter_cycle=cycle))
     driver(wire, camera=camera).show(np.full(camera.mask_shape, 63, np.uint8))
     assert wire.sent
 
 
-def test_a_driver_that_breaks_off_sets_the_panel_up_anew(wire: Wire) -> None:
+def test_driver_that_breaks_off_sets_the_panel_up_anew(wire: Wire) -> None:
     """Whatever it was, nobody knows which bytes were sent."""
     panel = reopening(wire)
     wire.fault, wire.failing = KeyboardInterrupt(), wire.writes + 6
@@ -350,7 +350,7 @@ def test_lines_are_let_go_although_the_bus_is_not(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
-def test_the_panel_is_never_lit_with_chance(tab: Tab, clock: Clock) -> None:
+def test_panel_is_never_lit_with_chance(tab: Tab, clock: Clock) -> None:
     class Watched(PanelEmulator):
         def write(self, buffer: memoryview | bytes) -> None:
             super().write(buffer)
@@ -362,14 +362,14 @@ def test_the_panel_is_never_lit_with_chance(tab: Tab, clock: Clock) -> None:
     assert not emulator.transparent
 
 
-def test_the_time_of_completion_is_after_the_last_byte(wire: Wire) -> None:
+def test_time_of_completion_is_after_the_last_byte(wire: Wire) -> None:
     panel = driver(wire)
     wire.took = 0.5
     began = wire.clock.now
     assert panel.show(draw()).completed_at == began + 12 * 0.5
 
 
-def test_a_wrong_tab_shows_another_mask(clock: Clock) -> None:
+def test_wrong_tab_shows_another_mask(clock: Clock) -> None:
     panel, emulator = emulated(clock, TABS["red"], glass=TABS["green"])
     levels = draw()
     panel.show(levels)
@@ -384,7 +384,7 @@ def test_a_wrong_tab_shows_another_mask(clock: Clock) -> None:
         np.full((51, 22), 64, np.uint8),
     ],
 )
-def test_what_it_cannot_show_is_refused_before_the_bus(
+def test_levels_it_cannot_show_are_refused_before_the_bus(
     levels: npt.NDArray[np.uint8], wire: Wire
 ) -> None:
     panel = driver(wire)
@@ -407,7 +407,7 @@ def _show(panel: ReopeningDisplay) -> None:
 
 
 @pytest.mark.parametrize("act", [_show, ReopeningDisplay.blank])
-def test_a_failing_bus_is_a_display_error_and_sets_the_panel_up_anew(
+def test_failing_bus_is_a_display_error_and_sets_the_panel_up_anew(
     act: Callable[[ReopeningDisplay], None], wire: Wire
 ) -> None:
     panel = reopening(wire)
@@ -424,7 +424,7 @@ def test_a_failing_bus_is_a_display_error_and_sets_the_panel_up_anew(
     assert wire.sent[0] == (False, b"\x2a")
 
 
-def test_a_bus_that_fails_at_the_start_is_an_error(wire: Wire) -> None:
+def test_bus_that_fails_at_the_start_is_an_error(wire: Wire) -> None:
     wire.fault, wire.failing = TimeoutError(), 1
     with pytest.raises(DisplayError, match="TimeoutError"):
         driver(wire)

@@ -61,7 +61,7 @@ def status(bits: str = SOUND, *, dummy: str = "0", after: str = "0") -> Line:
 
 @pytest.mark.parametrize("dummy", "01")
 @pytest.mark.parametrize("after", "01")
-def test_a_sound_panel_is_asked_once_and_its_dummy_clock_is_passed_over(
+def test_sound_panel_is_asked_once_and_its_dummy_clock_is_passed_over(
     dummy: str, after: str
 ) -> None:
     line = status(dummy=dummy, after=after)
@@ -71,7 +71,7 @@ def test_a_sound_panel_is_asked_once_and_its_dummy_clock_is_passed_over(
     assert line.asked == 4 * [(False, 0x09, 5)]
 
 
-def test_what_says_nothing_of_the_picture_is_passed_over() -> None:
+def test_status_bits_that_say_nothing_of_the_picture_are_passed_over() -> None:
     """ST24, ST23, ST15, ST14, ST12, ST11 and TEON; gamma curves and the tearing line's mode."""
     free = [7, 8, 16, 17, 19, 20, 22, *range(23, 32)]
     bits = list(SOUND.replace(" ", ""))
@@ -94,7 +94,7 @@ def test_what_says_nothing_of_the_picture_is_passed_over() -> None:
         (21, "its display is off"),
     ],
 )
-def test_whatever_is_not_as_it_was_set_is_said(bit: int, told: str) -> None:
+def test_status_bits_that_are_not_as_set_are_said(bit: int, told: str) -> None:
     bits = list(SOUND.replace(" ", ""))
     bits[bit] = "10"[int(bits[bit])]
     line = status("".join(bits))
@@ -114,7 +114,7 @@ def test_all_that_is_wrong_is_said_at_once() -> None:
 
 
 @pytest.mark.parametrize("level", "01")
-def test_a_line_that_nobody_drives_is_no_answer(level: str) -> None:
+def test_line_that_nobody_drives_is_no_answer(level: str) -> None:
     line = status(32 * level, dummy=level, after=level)
     assert not is_read(line, line, 0xC8)
     require_sound(line, line, 0xC8)
@@ -129,7 +129,7 @@ def woken(faults: PanelFaults = PanelFaults()) -> tuple[PanelEmulator, Clock]:  
     return emulator, clock
 
 
-def test_a_panel_says_who_it_is_before_it_was_set_up() -> None:
+def test_panel_says_who_it_is_before_it_was_set_up() -> None:
     emulator, _ = woken()
     shown = emulator.framebuffer()
     # As after power-up (10.1.5): 6-6-6, asleep, normal mode, off.
@@ -176,9 +176,7 @@ REPEATED = {31: 7, 19: 6, 18: 5, 17: 4, 16: 3, 10: 2}
 
 
 @pytest.mark.parametrize(("bit", "repeated"), REPEATED.items())
-def test_the_power_mode_is_the_part_of_the_status_that_it_should_be(
-    bit: int, repeated: int
-) -> None:
+def test_power_mode_is_the_part_of_the_status_that_it_should_be(bit: int, repeated: int) -> None:
     for status in (1 << bit, 0xFFFF_FFFE ^ 1 << bit):
         power = sum(1 << REPEATED[each] for each in REPEATED if status >> each & 1)
         line = Register(power=power, status=status)
@@ -202,7 +200,7 @@ def reading(
 
 
 @pytest.mark.parametrize("tab", TABS)
-def test_a_sound_panel_shows_the_same_whether_it_is_asked_or_not(tab: str) -> None:
+def test_sound_panel_shows_the_same_whether_it_is_asked_or_not(tab: str) -> None:
     pictures, sent = [], []
     for read_back in (False, True):
         clock = Clock()
@@ -233,7 +231,7 @@ def act_show(panel: ST7735R) -> None:
 
 @pytest.mark.parametrize("act", [act_show, ST7735R.blank])
 @pytest.mark.parametrize(("told", "command"), COMMANDS.items())
-def test_a_panel_that_was_told_something_else_is_found_after_the_next_write(
+def test_panel_that_was_told_something_else_is_found_after_the_next_write(
     told: str, command: bytes, act: Callable[[ST7735R], None]
 ) -> None:
     emulator, clock = woken()
@@ -249,7 +247,7 @@ def test_a_panel_that_was_told_something_else_is_found_after_the_next_write(
 @pytest.mark.parametrize(
     "register", [b"\x36\x00", b"\x36\x48", b"\x3a\x05", b"\x3a\x03"], ids=bytes.hex
 )
-def test_a_register_that_was_changed_is_found(register: bytes) -> None:
+def test_register_that_was_changed_is_found(register: bytes) -> None:
     emulator, clock = woken()
     panel = reading(emulator, clock)
     emulator.data(False)
@@ -306,7 +304,7 @@ def test_answer_is_believed_if_it_comes_three_times() -> None:
         panel.show(LEVELS)
 
 
-def test_a_panel_that_is_gone_fails_on_its_bus_when_it_is_asked() -> None:
+def test_panel_that_is_gone_fails_on_its_bus_when_it_is_asked() -> None:
     emulator, clock = woken()
     reading(emulator, clock)
     emulator.faults = PanelFaults(gone=True)
@@ -314,7 +312,7 @@ def test_a_panel_that_is_gone_fails_on_its_bus_when_it_is_asked() -> None:
         emulator.read(0x09, 5)
 
 
-def test_a_question_that_is_lost_has_no_answer() -> None:
+def test_question_that_is_lost_has_no_answer() -> None:
     """The thirteenth write of a mask is the question; pixels that are lost are answered as ever."""
     emulator, clock = woken()
     panel = reading(emulator, clock)
@@ -336,7 +334,7 @@ def test_glass_that_shows_light_for_dark_is_not_in_the_status() -> None:
     panel.show(LEVELS)
 
 
-def test_a_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
+def test_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
     emulator, clock = woken()
     reading(emulator, clock)
     emulator.data(True)
@@ -348,7 +346,7 @@ def test_a_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
     assert emulator.read(0x09, 5) == bytes(5)
 
 
-def test_the_mask_is_in_no_buffer_after_a_wrong_answer() -> None:
+def test_mask_is_in_no_buffer_after_a_wrong_answer() -> None:
     emulator, clock = woken()
     panel = reading(emulator, clock)
     asleep = (0x8061_0400 << 7).to_bytes(5, "big")
@@ -359,7 +357,7 @@ def test_the_mask_is_in_no_buffer_after_a_wrong_answer() -> None:
     assert "21" not in str(caught.value)
 
 
-def test_the_time_of_completion_is_before_the_question() -> None:
+def test_time_of_completion_is_before_the_question() -> None:
     class Slow(PanelEmulator):
         def read(self, command: int, count: int) -> bytes:
             clock.sleep(0.5)
@@ -373,7 +371,7 @@ def test_the_time_of_completion_is_before_the_question() -> None:
 
 
 @pytest.mark.parametrize("read_back", [False, True])
-def test_the_emulated_panel_is_asked_if_it_should_be(*, read_back: bool) -> None:
+def test_emulated_panel_is_asked_if_it_should_be(*, read_back: bool) -> None:
     """And set up anew, as it is after every failure."""
     clock = Clock()
     assert DRIVER.emulate is not None

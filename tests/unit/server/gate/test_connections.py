@@ -23,7 +23,7 @@ class Room:
         return connection
 
 
-def test_the_oldest_unfinished_has_to_go() -> None:
+def test_oldest_unfinished_has_to_go() -> None:
     room = Room(3)
     for name in ("a1", "a2", "a3", "a4", "a5"):
         room.enter(name)
@@ -32,7 +32,7 @@ def test_the_oldest_unfinished_has_to_go() -> None:
     assert room.connections.dropped["evicted"] == 2
 
 
-def test_what_is_worked_on_stays_and_then_nobody_comes_in() -> None:
+def test_connections_worked_on_stay_and_then_nobody_comes_in() -> None:
     room = Room(2)
     room.enter("a1", Place.WORKING)
     unfinished = room.enter("a2")
@@ -45,7 +45,7 @@ def test_what_is_worked_on_stays_and_then_nobody_comes_in() -> None:
     assert len(room.connections) == 2
 
 
-def test_who_is_unfinished_goes_before_who_is_idle() -> None:
+def test_unfinished_connection_goes_before_an_idle_one() -> None:
     room = Room(3)
     room.enter("a1", Place.IDLE)
     room.enter("a2")
@@ -55,7 +55,7 @@ def test_who_is_unfinished_goes_before_who_is_idle() -> None:
     assert room.gone == ["a2", "a1"]
 
 
-def test_a_peer_pushes_out_itself() -> None:
+def test_peer_pushes_out_itself() -> None:
     room = Room(4)
     for name in ("b1", "a1", "a2", "a3", "a4", "a5", "a6"):
         room.enter(name)
@@ -68,7 +68,7 @@ def test_a_peer_pushes_out_itself() -> None:
     assert room.gone[-1] == "b1"
 
 
-def test_what_is_worked_on_makes_no_peer_the_largest() -> None:
+def test_work_makes_no_peer_the_largest() -> None:
     room = Room(4)
     room.enter("a1")
     room.enter("b1", Place.WORKING)
@@ -78,7 +78,7 @@ def test_what_is_worked_on_makes_no_peer_the_largest() -> None:
     assert room.gone == ["a1"]
 
 
-def test_a_place_is_taken_up_anew_with_a_new_request() -> None:
+def test_place_is_taken_up_anew_with_a_new_request() -> None:
     room = Room(3)
     first = room.enter("a1")
     room.enter("a2")
@@ -97,7 +97,7 @@ def test_a_place_is_taken_up_anew_with_a_new_request() -> None:
     assert room.gone == ["a2"]
 
 
-def test_who_leaves_makes_room() -> None:
+def test_connection_that_ends_makes_room() -> None:
     room = Room(1)
     for _ in range(3):
         connection = room.enter("a1")
@@ -119,7 +119,7 @@ def test_at_the_end_all_go_but_what_is_worked_on() -> None:
     assert not room.connections.make_room()
 
 
-def test_who_was_ended_is_not_referred_to_any_more() -> None:
+def test_ended_connection_is_not_referred_to_any_more() -> None:
     # It refers to its connection in turn: a circle of 300 kB where there is TLS.
     room = Room(1)
     connection = room.enter("a1")

@@ -32,7 +32,7 @@ def test_probabilities_sum_to_one() -> None:
     assert verdict.confidence == verdict.scores[verdict.label]
 
 
-def test_a_network_without_numbers_is_not_loaded() -> None:
+def test_network_without_numbers_is_not_loaded() -> None:
     weights = {
         f"{layer}.{name}": np.full(size, 3e38, np.float32)
         for layer in range(2)
@@ -42,13 +42,13 @@ def test_a_network_without_numbers_is_not_loaded() -> None:
         Classifier.load(LAYERS * 2, weights, labels=("a", "b"), inputs=2)
 
 
-def test_a_measurement_without_probabilities_is_an_error() -> None:
+def test_measurement_without_probabilities_is_an_error() -> None:
     with pytest.raises(InferenceError):
         classifier(3e38).classify(np.array([[2.0, 2.0]], np.float32))
 
 
 @pytest.mark.anyio
-async def test_the_api_says_so(running: Running, bench: Bench) -> None:
+async def test_api_says_so(running: Running, bench: Bench) -> None:
     for pair in bench.bundle.pairs:
         pair.weights["0.weight"].fill(3e38)
     from veilcam_server.masks.pairs import load_pairs

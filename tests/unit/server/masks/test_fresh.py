@@ -68,7 +68,7 @@ def a_measurement(bundle: Bundle, levels: np.ndarray, seed: int = 0) -> np.ndarr
     return measurement
 
 
-def test_a_mask_is_its_key_s_and_its_reader_the_mask_s(fresh_bundle: Bundle) -> None:
+def test_mask_is_its_key_s_and_its_reader_the_mask_s(fresh_bundle: Bundle) -> None:
     fresh, source = fresh_bundle.fresh, FreshSource(fresh_bundle)
     assert fresh is not None
     network = build_classifier(fresh.layers, fresh.weights)
@@ -88,7 +88,7 @@ def test_a_mask_is_its_key_s_and_its_reader_the_mask_s(fresh_bundle: Bundle) -> 
     assert source.bundle == fresh_bundle.digest
 
 
-def test_what_is_told_beside_a_label_is_the_same_behind_every_mask(fresh_bundle: Bundle) -> None:
+def test_evidence_is_the_same_behind_every_mask(fresh_bundle: Bundle) -> None:
     source, scene = FreshSource(fresh_bundle), fresh_bundle.scene
     operator = TransferOperator(fresh_bundle.camera, scene, fresh_bundle.embedding)
     digit = torch.from_numpy(load_digits().images[:1] / np.float32(255))
@@ -156,7 +156,7 @@ def test_nothing_is_prepared_to_whiten_where_nothing_leaves_white(
 
 
 @pytest.mark.parametrize("form", ["none", "white"])
-def test_a_mask_that_is_erased_takes_its_reader_along_and_leaves_its_neighbours(
+def test_mask_that_is_erased_takes_its_reader_along_and_leaves_its_neighbours(
     fresh_bundle: Bundle, form: str
 ) -> None:
     source = FreshSource(fresh_bundle)
@@ -199,7 +199,7 @@ def test_derived_keys_are_overwritten_as_soon_as_they_were_used(
     assert not any(map(any, derived))
 
 
-def test_the_wrong_decoder_is_another_mask_s_and_another_one_each_time(
+def test_wrong_decoder_is_another_mask_s_and_another_one_each_time(
     fresh_bundle: Bundle,
 ) -> None:
     right = FreshSource(fresh_bundle).make(key(3), "none", NONE)
@@ -211,7 +211,7 @@ def test_the_wrong_decoder_is_another_mask_s_and_another_one_each_time(
     assert all(one != other for one, other in zip(answers, [*answers[1:], answers[0]], strict=True))
 
 
-def test_what_cannot_be_decoded_is_found_at_the_start(fresh_bundle: Bundle) -> None:
+def test_bundle_that_cannot_be_decoded_is_found_at_the_start(fresh_bundle: Bundle) -> None:
     with pytest.raises(StartError, match=r"statistics\.pixels"):
         FreshSource(dataclasses.replace(fresh_bundle, scene=Scene(10, 10)))
     with pytest.raises(ValueError, match="has no key policy"):
@@ -219,7 +219,7 @@ def test_what_cannot_be_decoded_is_found_at_the_start(fresh_bundle: Bundle) -> N
 
 
 @pytest.mark.slow
-def test_what_the_simulated_light_gives_can_be_decoded(
+def test_simulated_light_can_be_decoded(
     fresh_bundle: Bundle,
 ) -> None:
     """The light takes the grid path, decoding the transfer operator: neither knows the other."""
@@ -267,7 +267,7 @@ async def test_answers_tell_their_form(running: Running, fresh_bench: Bench) -> 
 
 
 @pytest.mark.anyio
-async def test_a_scene_without_light_is_answered_as_any_other(
+async def test_scene_without_light_is_answered_as_any_other(
     running: Running, fresh_bench: Bench
 ) -> None:
     async with running(on=fresh_bench) as client:

@@ -74,7 +74,7 @@ def test_masks_to_avoid_come_only_where_no_other_is_left(bundle: Bundle) -> None
     assert made(first, third) == {second}
 
 
-def test_a_mark_is_no_plain_digest_of_its_mask_and_is_the_same_in_every_bundle(
+def test_mark_is_no_plain_digest_of_its_mask_and_is_the_same_in_every_bundle(
     bundle: Bundle,
 ) -> None:
     marks = [mask.mark for mask in load_pairs(bundle)._masks]
@@ -90,7 +90,7 @@ def test_a_mark_is_no_plain_digest_of_its_mask_and_is_the_same_in_every_bundle(
     assert [mask.mark for mask in load_pairs(turned)._masks] == marks[::-1]
 
 
-def test_a_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
+def test_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
     mask = load_pairs(bundle).make(key(), "raw", frozenset())
     measurement = np.ones(bundle.embedding.shape, np.float32)
     with pytest.raises(ValueError, match="no scene statistics"):
@@ -102,7 +102,7 @@ def test_a_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
     assert mask.reader.classify(measurement) == verdict
 
 
-def test_a_pair_tells_its_light_and_knows_nothing_of_novelty(bundle: Bundle) -> None:
+def test_pair_tells_its_light_and_knows_nothing_of_novelty(bundle: Bundle) -> None:
     for mask in load_pairs(bundle)._masks:
         measurement = np.full(bundle.embedding.shape, 0.25, np.float32)
         told, weights = mask.reader.evidence(measurement), mask.levels / 63
@@ -113,12 +113,12 @@ def test_a_pair_tells_its_light_and_knows_nothing_of_novelty(bundle: Bundle) -> 
         assert np.max(scores) == pytest.approx(mask.reader.classify(measurement).confidence)
 
 
-def test_a_dark_mask_passes_a_level_s_worth() -> None:
+def test_dark_mask_passes_a_level_s_worth() -> None:
     assert transmittance(np.zeros((2, 2), np.uint8), 64) == 1 / 63**2
     assert transmittance(np.full((2, 2), 63, np.uint8), 64) == 1.0
 
 
-def test_the_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:
+def test_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:
     assert demo_bundle.embedding.shape == (24, 32)
     assert len(demo_bundle.pairs) >= 5
     masks = [pair.levels.tobytes() for pair in demo_bundle.pairs]

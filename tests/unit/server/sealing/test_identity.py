@@ -22,7 +22,7 @@ def key(tmp_path: Path) -> DeviceKey:
     return DeviceKey.open(tmp_path)
 
 
-def test_it_is_made_at_the_first_start_and_stays(tmp_path: Path) -> None:
+def test_key_is_made_at_the_first_start_and_stays(tmp_path: Path) -> None:
     state_dir = tmp_path / "state"
     faults: list[ProblemError] = []
     key = DeviceKey.open(state_dir, faults.append)
@@ -36,7 +36,7 @@ def test_it_is_made_at_the_first_start_and_stays(tmp_path: Path) -> None:
     assert not faults
 
 
-def test_what_it_signs_is_checked_with_its_public_half(key: DeviceKey) -> None:
+def test_signature_is_checked_with_the_public_half(key: DeviceKey) -> None:
     public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(key.public))
     signature = bytes.fromhex(key.sign(b"message"))
     public.verify(signature, b"message")
@@ -44,7 +44,7 @@ def test_what_it_signs_is_checked_with_its_public_half(key: DeviceKey) -> None:
         public.verify(signature, b"another")
 
 
-def test_it_is_shown_nowhere(tmp_path: Path, key: DeviceKey) -> None:
+def test_key_is_shown_nowhere(tmp_path: Path, key: DeviceKey) -> None:
     seed = json.loads((tmp_path / KEY_NAME).read_text().splitlines()[1])["seed"]
     assert repr(key) == f"DeviceKey(public={key.public})"
     assert seed not in repr(key)
@@ -54,7 +54,7 @@ def test_it_is_shown_nowhere(tmp_path: Path, key: DeviceKey) -> None:
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_key_is_put_right_and_another_one_is_told(
+def test_damaged_key_is_put_right_and_another_one_is_told(
     tmp_path: Path, key: DeviceKey, damage: Callable[[Path], None]
 ) -> None:
     faults: list[ProblemError] = []
@@ -74,7 +74,7 @@ def test_a_damaged_key_is_put_right_and_another_one_is_told(
     assert len(faults) == 1
 
 
-def test_a_place_that_takes_no_key_is_said(tmp_path: Path) -> None:
+def test_place_that_takes_no_key_is_said(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.touch()
     with pytest.raises(StartError, match=r"device-key\.json cannot be read \(Not a directory\)"):

@@ -34,7 +34,7 @@ def store(tmp_path: Path) -> ReceiverStore:
     return ReceiverStore(tmp_path)
 
 
-def test_whoever_is_paired_is_told_and_stays(tmp_path: Path, store: ReceiverStore) -> None:
+def test_receiver_is_told_and_stays(tmp_path: Path, store: ReceiverStore) -> None:
     assert (len(store.paired), len(store.keys)) == (0, 0)
     assert not list(tmp_path.iterdir())
     first, second = some(2)
@@ -65,7 +65,7 @@ def test_one_key_is_paired_once_and_unknown_ones_are_said(store: ReceiverStore) 
     assert store.keys == (receiver,)
 
 
-def test_there_are_eight_at_most(store: ReceiverStore) -> None:
+def test_receivers_are_eight_at_most(store: ReceiverStore) -> None:
     receivers = some(9)
     for receiver in receivers[:8]:
         store.add("one", receiver)
@@ -79,7 +79,7 @@ def test_there_are_eight_at_most(store: ReceiverStore) -> None:
 
 @pytest.mark.parametrize("end", ["", ".copy"])
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_is_put_right(
+def test_damaged_record_is_put_right(
     tmp_path: Path, store: ReceiverStore, damage: Callable[[Path], None], end: str
 ) -> None:
     faults: list[ProblemError] = []
@@ -91,7 +91,7 @@ def test_a_damaged_record_is_put_right(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_lost_record_is_told_until_somebody_is_paired(
+def test_lost_record_is_told_until_somebody_is_paired(
     tmp_path: Path, store: ReceiverStore, damage: Callable[[Path], None]
 ) -> None:
     faults: list[ProblemError] = []
@@ -110,7 +110,7 @@ def test_a_lost_record_is_told_until_somebody_is_paired(
     assert (found.keys, found.lost, len(faults)) == ((receiver,), False, 2)
 
 
-def test_what_the_disk_does_not_take_is_not_acknowledged(
+def test_receiver_that_the_disk_does_not_take_is_not_acknowledged(
     store: ReceiverStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second = some(2)
@@ -131,7 +131,7 @@ def test_what_the_disk_does_not_take_is_not_acknowledged(
 @pytest.mark.parametrize(
     ("field", "value"), [("key", "veilcam-receiver:AAAA"), ("key", 3), ("added_at", "yesterday")]
 )
-def test_a_record_that_holds_something_else_is_lost(
+def test_record_that_holds_something_else_is_lost(
     tmp_path: Path, store: ReceiverStore, field: str, value: object
 ) -> None:
     store.add("archive", *some(1))
@@ -150,7 +150,7 @@ def test_a_record_that_holds_something_else_is_lost(
     assert (tmp_path / f"{NAME}.damaged").exists()
 
 
-def test_a_receiver_s_key_is_read_and_what_is_none_is_said() -> None:
+def test_receiver_s_key_is_read_and_what_is_none_is_said() -> None:
     (receiver,) = some(1)
     assert parse_receiver(str(receiver)) == receiver
     with pytest.raises(ReceiverInvalidError, match="this is no receiver's key: use veilcam-rec"):

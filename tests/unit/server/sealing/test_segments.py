@@ -77,7 +77,7 @@ def test_nothing_is_there_before_the_first_line(tmp_path: Path) -> None:
     segments.close()
 
 
-def test_it_goes_on_where_it_ended(tmp_path: Path) -> None:
+def test_log_goes_on_where_it_ended(tmp_path: Path) -> None:
     written(tmp_path / "log").close()
     ending, segments = recovered(tmp_path / "log")
     assert ending == Ending(LINES[7], torn=False, breaks=0)
@@ -88,7 +88,7 @@ def test_it_goes_on_where_it_ended(tmp_path: Path) -> None:
     assert not segments.aside.exists()
 
 
-def test_the_oldest_make_room_once_that_is_said(tmp_path: Path) -> None:
+def test_oldest_make_room_once_that_is_said(tmp_path: Path) -> None:
     with closing(written(tmp_path / "log", 7, kept=2)) as segments:
         assert (segments.oldest, segments.surplus) == (0, 3)
         segments.drop()
@@ -98,7 +98,7 @@ def test_the_oldest_make_room_once_that_is_said(tmp_path: Path) -> None:
     assert len(list((tmp_path / "log").iterdir())) == 2
 
 
-def test_what_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
+def test_segment_that_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
     with closing(written(tmp_path / "log", 7, kept=2)) as segments:
         (tmp_path / "log" / f"{0:020d}.jsonl").unlink()
         segments.drop()
@@ -119,7 +119,7 @@ def test_what_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
         (lambda _: b"\n\n\xff", 5),
     ],
 )
-def test_a_damaged_end_is_set_aside(
+def test_damaged_end_is_set_aside(
     tmp_path: Path, damage: Callable[[bytes], bytes], last: int
 ) -> None:
     written(tmp_path / "log").close()
@@ -139,7 +139,7 @@ def test_a_damaged_end_is_set_aside(
         assert newest.exists()
 
 
-def test_what_was_set_aside_before_makes_room(tmp_path: Path) -> None:
+def test_segments_set_aside_before_make_room(tmp_path: Path) -> None:
     for _ in range(2):
         written(tmp_path / "log").close()
         for path in (tmp_path / "log").iterdir():
@@ -173,7 +173,7 @@ def test_damage_before_the_end_is_counted_and_left_as_it_is(
     assert middle.read_bytes() == damaged
 
 
-def test_a_file_that_is_gone_is_a_break_and_one_that_cannot_be_read_stays(tmp_path: Path) -> None:
+def test_file_that_is_gone_is_a_break_and_one_that_cannot_be_read_stays(tmp_path: Path) -> None:
     written(tmp_path / "log").close()
     middle = tmp_path / "log" / f"{3:020d}.jsonl"
     middle.unlink()
@@ -199,7 +199,7 @@ def test_other_files_are_none_of_its_business(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [0, 2, 3])
 @pytest.mark.parametrize("half", [True, False])
-def test_a_full_disk_leaves_neither_half_a_line_nor_an_empty_file(
+def test_full_disk_leaves_neither_half_a_line_nor_an_empty_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, half: bool
 ) -> None:
     def pwrite(file: int, data: bytes, place: int) -> int:
@@ -239,7 +239,7 @@ def test_half_a_line_that_cannot_be_undone_is_written_over(
     segments.close()
 
 
-def test_a_file_that_somebody_removes_is_begun_anew(tmp_path: Path) -> None:
+def test_file_that_somebody_removes_is_begun_anew(tmp_path: Path) -> None:
     segments = written(tmp_path / "log", 2)
     for path in (tmp_path / "log").iterdir():
         path.unlink()
@@ -249,7 +249,7 @@ def test_a_file_that_somebody_removes_is_begun_anew(tmp_path: Path) -> None:
     assert (tmp_path / "log" / f"{2:020d}.jsonl").read_bytes() == LINES[2] + b"\n"
 
 
-def test_a_file_is_on_the_disk_before_the_next_begins(
+def test_file_is_on_the_disk_before_the_next_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flushed: list[int] = []
@@ -260,6 +260,6 @@ def test_a_file_is_on_the_disk_before_the_next_begins(
     assert flushed == [-1, ROOM, -1]
 
 
-def test_a_position_is_read_off_a_line() -> None:
+def test_position_is_read_off_a_line() -> None:
     assert position_of(LINES[7]) == 7
     assert position_of(LINES[7][1:]) is None

@@ -186,7 +186,7 @@ async def test_white_embeddings_want_no_more(
     assert answer.json()["embedding"]["form"] == "white"
 
 
-async def test_an_idempotency_key_is_a_caller_s_own(
+async def test_idempotency_key_is_a_caller_s_own(
     running: Running, store: TokenStore, bench: Bench
 ) -> None:
     key = {"Idempotency-Key": "k"}
@@ -201,7 +201,7 @@ async def test_an_idempotency_key_is_a_caller_s_own(
     assert answers[0].content == answers[2].content != answers[1].content
 
 
-async def test_who_asks_too_often_waits_and_others_do_not(
+async def test_caller_that_asks_too_often_waits_and_others_do_not(
     running: Running, store: TokenStore
 ) -> None:
     now = 0.0
@@ -295,7 +295,7 @@ async def test_so_many_event_streams(running: Running) -> None:
         pass
 
 
-async def test_a_daemon_without_tokens_says_how_to_make_one(
+async def test_daemon_without_tokens_says_how_to_make_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = Settings(bundle=tmp_path / "a.veilcam", state_dir=tmp_path / "state")
@@ -334,7 +334,7 @@ async def test_one_caller_leaves_streams_to_others(running: Running, store: Toke
             stream.cancel()
 
 
-async def test_where_no_tokens_are_wanted_the_caller_is_the_peer() -> None:
+async def test_caller_is_the_peer_where_no_tokens_are_wanted() -> None:
     admission = Admission()
     with admission.admitted(Headers(), "127.0.0.2") as caller:
         assert caller.id == "127.0.0.2"

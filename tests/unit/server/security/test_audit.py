@@ -44,7 +44,7 @@ def lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-async def test_the_audit_log_says_who_did_what(
+async def test_audit_log_says_who_did_what(
     running: Running, store: TokenStore, logs: tuple[AuditLog, AuditLog], tmp_path: Path
 ) -> None:
     token: NewToken = store.create("a lamp", ("classify", "read:status"), None)
@@ -121,7 +121,7 @@ def told(tmp_path: Path) -> Iterator[Told]:
     made.log.close()
 
 
-def test_an_audit_log_that_cannot_be_written_is_told_once_and_stops_nothing(
+def test_audit_log_that_cannot_be_written_is_told_once_and_stops_nothing(
     told: Told, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told.log.write("first")
@@ -140,7 +140,7 @@ def test_an_audit_log_that_cannot_be_written_is_told_once_and_stops_nothing(
     assert len(told.faults) == 2
 
 
-def test_a_line_that_must_be_durable_is_or_is_refused(
+def test_line_that_must_be_durable_is_or_is_refused(
     told: Told, flushed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told.log.write("capture")
@@ -187,7 +187,7 @@ def test_half_a_line_does_not_spoil_the_next_one(tmp_path: Path) -> None:
     assert entries[1] == {"at": "", "action": "a line that is damaged", "file": "a.jsonl"}
 
 
-def test_what_was_written_of_a_line_on_a_full_disk_does_not_spoil_the_next_one(
+def test_part_of_a_line_on_a_full_disk_does_not_spoil_the_next_one(
     told: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = os.write
@@ -201,9 +201,7 @@ def test_what_was_written_of_a_line_on_a_full_disk_does_not_spoil_the_next_one(
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_audit_log_is_read_and_goes_on(
-    told: Told, damage: Callable[[Path], None]
-) -> None:
+def test_damaged_audit_log_is_read_and_goes_on(told: Told, damage: Callable[[Path], None]) -> None:
     for _ in range(3):
         told.log.write("before")
     told.log.close()
@@ -213,14 +211,14 @@ def test_a_damaged_audit_log_is_read_and_goes_on(
     assert set(told.actions()) <= {"before", "a line that is damaged", "after"}
 
 
-def test_a_file_that_is_removed_while_it_is_written_is_made_anew(told: Told) -> None:
+def test_file_that_is_removed_while_it_is_written_is_made_anew(told: Told) -> None:
     told.log.write("before")
     told.path.unlink()
     told.log.write("after")
     assert told.actions() == ["after"]
 
 
-def test_a_file_that_cannot_be_opened_is_opened_as_soon_as_it_can(told: Told) -> None:
+def test_file_that_cannot_be_opened_is_opened_as_soon_as_it_can(told: Told) -> None:
     told.path.mkdir()
     told.log.write("lost")
     assert (told.log.lost, len(told.faults)) == (1, 1)
@@ -272,7 +270,7 @@ async def test_no_change_is_acknowledged_whose_line_is_not_on_the_disk(
     ]
 
 
-async def test_a_change_whose_line_fails_is_not_answered_for(
+async def test_change_whose_line_fails_is_not_answered_for(
     running: Running, logs: tuple[AuditLog, AuditLog], store: TokenStore
 ) -> None:
     done, _ = logs
@@ -295,7 +293,7 @@ async def test_a_change_whose_line_fails_is_not_answered_for(
     ]
 
 
-async def test_a_change_is_flushed_and_a_capture_is_not(
+async def test_change_is_flushed_and_a_capture_is_not(
     running: Running, logs: tuple[AuditLog, AuditLog], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done, _ = logs

@@ -45,7 +45,7 @@ class Desk:
         return await self.keys.once(caller, key, request, self.work)
 
 
-async def test_a_key_holds_for_a_minute_and_not_for_ever() -> None:
+async def test_key_holds_for_a_minute_and_not_for_ever() -> None:
     desk = Desk()
     assert await desk.ask("k") == 1
     desk.clock = LIFETIME - 1
@@ -56,7 +56,7 @@ async def test_a_key_holds_for_a_minute_and_not_for_ever() -> None:
     assert await desk.ask("k") == 2
 
 
-async def test_a_repeated_key_after_many_others() -> None:
+async def test_repeated_key_after_many_others() -> None:
     desk = Desk()
     first = await desk.ask("k")
     for number in range(idempotency.KEPT - 1):
@@ -87,7 +87,7 @@ async def test_one_caller_pushes_out_no_other_s(monkeypatch: pytest.MonkeyPatch)
     await desk.ask("4")
 
 
-async def test_a_key_under_way_is_not_forgotten() -> None:
+async def test_key_under_way_is_not_forgotten() -> None:
     desk = Desk()
     go_on = asyncio.Event()
 
@@ -104,7 +104,7 @@ async def test_a_key_under_way_is_not_forgotten() -> None:
     assert await first == await again == 1
 
 
-async def test_what_was_done_before_a_restart_is_not_done_again(tmp_path: Path) -> None:
+async def test_request_done_before_a_restart_is_not_done_again(tmp_path: Path) -> None:
     before = Desk(KeyRecord(tmp_path))
     await before.ask("k")
     after = Desk(KeyRecord(tmp_path))
@@ -118,7 +118,7 @@ async def test_what_was_done_before_a_restart_is_not_done_again(tmp_path: Path) 
     assert await after.ask("k") == 3
 
 
-async def test_it_is_on_the_disk_before_anybody_hears_of_it(tmp_path: Path) -> None:
+async def test_record_is_on_the_disk_before_anybody_hears_of_it(tmp_path: Path) -> None:
     desk = Desk(KeyRecord(tmp_path))
 
     async def fail() -> int:
@@ -133,7 +133,7 @@ async def test_it_is_on_the_disk_before_anybody_hears_of_it(tmp_path: Path) -> N
     assert b"k" not in content
 
 
-async def test_a_full_disk_stops_nothing(
+async def test_full_disk_stops_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> None:
@@ -145,7 +145,7 @@ async def test_a_full_disk_stops_nothing(
     assert capsys.readouterr().out.count("will not survive a restart") == 1
 
 
-async def test_a_restart_of_the_daemon(running: Running, bench: Bench, tmp_path: Path) -> None:
+async def test_restart_of_the_daemon(running: Running, bench: Bench, tmp_path: Path) -> None:
     settings = Settings(bundle=tmp_path / "a.veilcam", state_dir=bench.state_dir, auth="none")
     headers = {"Idempotency-Key": "k"}
     with open_admission(settings) as admission:

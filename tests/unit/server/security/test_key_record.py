@@ -40,7 +40,7 @@ def clocks(tmp_path: Path) -> Clocks:
     return Clocks(tmp_path)
 
 
-def test_what_was_written_is_known_for_a_minute(clocks: Clocks) -> None:
+def test_key_written_is_known_for_a_minute(clocks: Clocks) -> None:
     record = clocks.record()
     record.add(KEYS[1], KEYS[2])
     assert clocks.record().read() == {KEYS[1]: KEYS[2]}
@@ -60,7 +60,7 @@ def test_files_take_turns_and_nothing_is_lost_within_the_minute(clocks: Clocks) 
         clocks.pass_by(LIFETIME / 10 + 0.001)
 
 
-def test_a_start_goes_on_in_the_file_of_the_one_before(clocks: Clocks) -> None:
+def test_start_goes_on_in_the_file_of_the_one_before(clocks: Clocks) -> None:
     for number in range(60):
         record = clocks.record()
         record.add(KEYS[number], KEYS[0])
@@ -69,7 +69,7 @@ def test_a_start_goes_on_in_the_file_of_the_one_before(clocks: Clocks) -> None:
     assert sum(path.stat().st_size for path in clocks.directory.iterdir()) < 20 * 160
 
 
-def test_a_clock_that_was_set_back_forgets_nothing(clocks: Clocks) -> None:
+def test_clock_that_was_set_back_forgets_nothing(clocks: Clocks) -> None:
     clocks.record().add(KEYS[1], KEYS[0])
     clocks.now -= 365 * 86_400
     assert clocks.read() == [1]
@@ -101,7 +101,7 @@ def test_only_whole_lines_count(clocks: Clocks, capsys: pytest.CaptureFixture[st
         clocks.read()
 
 
-def test_it_is_for_its_owner_alone_and_synced(
+def test_record_is_for_its_owner_alone_and_synced(
     clocks: Clocks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[int] = []
@@ -112,7 +112,7 @@ def test_it_is_for_its_owner_alone_and_synced(
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_disk_that_takes_half_a_line_refuses_it(
+def test_disk_that_takes_half_a_line_refuses_it(
     clocks: Clocks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = os.write

@@ -36,7 +36,7 @@ class Clock:
         return self.now
 
 
-def test_a_lease_ends_by_itself_and_can_be_renewed() -> None:
+def test_lease_ends_by_itself_and_can_be_renewed() -> None:
     clock = Clock()
     lease = Lease(clock)
     assert lease.left is None
@@ -117,7 +117,7 @@ async def test_with_tokens_the_token_is_the_holder(
 
 
 @pytest.mark.anyio
-async def test_an_administrator_ends_the_lease_of_another(
+async def test_administrator_ends_the_lease_of_another(
     running: Running, store: TokenStore, tmp_path: Path
 ) -> None:
     rotating: tuple[Scope, ...] = ("mask:rotate",)
@@ -181,7 +181,7 @@ async def test_without_tokens_a_secret_is_the_holder(running: Running) -> None:
         {"seconds": 5},
     ],
 )
-async def test_a_bad_lease_is_refused(running: Running, body: dict[str, object]) -> None:
+async def test_bad_lease_is_refused(running: Running, body: dict[str, object]) -> None:
     async with running() as client:
         assert (await client.post("/v1/lease", json=body)).status_code == 422
         assert not (await client.get("/v1/lease")).json()["held"]

@@ -89,7 +89,7 @@ def test_both_halves_together_are_the_token_and_neither_is_anything_alone(
     assert not is_let_in(sessions, twice)
 
 
-def test_a_session_ends_after_a_week_and_with_its_token(
+def test_session_ends_after_a_week_and_with_its_token(
     sessions: SessionStore, tokens: TokenStore, clock: Clock
 ) -> None:
     long, short = begin(sessions, tokens), begin(sessions, tokens, 60.0)
@@ -105,7 +105,7 @@ def test_a_session_ends_after_a_week_and_with_its_token(
     assert not is_let_in(sessions, headers(again))
 
 
-def test_it_outlasts_a_restart_and_the_disk_has_neither_half(
+def test_session_outlasts_a_restart_and_the_disk_has_neither_half(
     sessions: SessionStore, tokens: TokenStore, tmp_path: Path
 ) -> None:
     begun, left = begin(sessions, tokens), begin(sessions, tokens)
@@ -146,7 +146,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, sessions: SessionStore) -> None:
 
 
 @pytest.mark.usefixtures("full_disk")
-def test_a_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
+def test_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
     sessions: SessionStore, tokens: TokenStore
 ) -> None:
     begun = begin(sessions, tokens)
@@ -156,7 +156,7 @@ def test_a_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
     assert not is_let_in(sessions, headers(begun))
 
 
-def test_what_is_damaged_is_told_of_and_everybody_logs_in_again(
+def test_damaged_sessions_are_told_of_and_everybody_logs_in_again(
     sessions: SessionStore, tokens: TokenStore, tmp_path: Path
 ) -> None:
     begun = begin(sessions, tokens)

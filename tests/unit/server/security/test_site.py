@@ -50,7 +50,7 @@ def refusal(site: Site, **headers: str) -> type[ProblemError] | None:
         ),
     ],
 )
-def test_the_host_is_a_name_of_this_daemon(
+def test_host_is_a_name_of_this_daemon(
     site: Site, served: tuple[str, ...], refused: tuple[str, ...]
 ) -> None:
     for host in served:
@@ -78,7 +78,7 @@ def test_the_host_is_a_name_of_this_daemon(
         ("https://camera.example", "page.example", HostRefusedError),
     ],
 )
-def test_the_origin_is_a_name_of_this_daemon(
+def test_origin_is_a_name_of_this_daemon(
     origin: str, host: str, wanted: type[ProblemError] | None
 ) -> None:
     assert refusal(PROXIED, origin=origin, host=host) is wanted
@@ -106,7 +106,7 @@ def test_two_modes_of_one_request_are_none() -> None:
     ("ancestors", "opened"),
     [((), ("document",)), (("https://home.example",), ("document", "iframe"))],
 )
-def test_a_link_and_a_frame_that_is_allowed_lead_to_a_page(
+def test_link_and_a_frame_that_is_allowed_lead_to_a_page(
     ancestors: tuple[str, ...], opened: tuple[str, ...]
 ) -> None:
     site = Site(frame_ancestors=ancestors)
@@ -128,7 +128,7 @@ def test_a_link_and_a_frame_that_is_allowed_lead_to_a_page(
 
 
 @pytest.mark.parametrize("tls", [False, True])
-def test_the_names_are_set(tls: bool, tmp_path: object) -> None:
+def test_names_are_set(tls: bool, tmp_path: object) -> None:
     secured = {"tls_certificate": "c.pem", "tls_key": "k.pem", "host": "0.0.0.0"} if tls else {}
     settings = Settings.model_validate(
         {

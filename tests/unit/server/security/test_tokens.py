@@ -89,7 +89,7 @@ def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
         TokenStore(tmp_path)
 
 
-def test_a_token_is_its_label_and_scopes(store: TokenStore) -> None:
+def test_token_is_its_label_and_scopes(store: TokenStore) -> None:
     made = make(store, "mask:rotate", "classify", "classify")
     caller = who(store, made.secret)
     assert (caller.id, caller.label) == (made.id, "for a test")
@@ -130,14 +130,14 @@ def test_secrets_are_neither_on_the_disk_nor_readable_by_others(
         lambda header: "Bearer vc_" + 12 * "٣" + "_" + 64 * "٣",
     ],
 )
-def test_what_is_not_quite_a_token_is_refused(store: TokenStore, spoil: Any) -> None:
+def test_secret_that_is_not_quite_a_token_is_refused(store: TokenStore, spoil: Any) -> None:
     header = f"Bearer {make(store).secret}"
     store.caller(header)
     with pytest.raises(UnauthorizedError):
         store.caller(spoil(header))
 
 
-def test_a_revoked_token_is_refused_and_stays_on_the_list(store: TokenStore) -> None:
+def test_revoked_token_is_refused_and_stays_on_the_list(store: TokenStore) -> None:
     first, second = make(store), make(store)
     revoked = store.revoke(first.id)
     assert revoked.revoked_at is not None
@@ -150,7 +150,7 @@ def test_a_revoked_token_is_refused_and_stays_on_the_list(store: TokenStore) -> 
         store.revoke("0" * 12)
 
 
-def test_a_token_ends_and_a_clock_set_back_does_not_bring_it_back(
+def test_token_ends_and_a_clock_set_back_does_not_bring_it_back(
     store: TokenStore, clock: Clock, tmp_path: Path
 ) -> None:
     made = make(store, lifetime=60.0)
@@ -176,7 +176,7 @@ def test_a_token_ends_and_a_clock_set_back_does_not_bring_it_back(
         who(again, lasting.secret)
 
 
-def test_a_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> None:
+def test_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> None:
     ending, endless = make(store, lifetime=60.0), make(store)
     clock.wall += 3600
     with pytest.raises(UnauthorizedError):
@@ -184,7 +184,7 @@ def test_a_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> Non
     who(store, endless.secret)
 
 
-def test_what_another_process_changes_holds_from_the_next_request_on(
+def test_change_of_another_process_holds_from_the_next_request_on(
     store: TokenStore, tmp_path: Path
 ) -> None:
     other = TokenStore(tmp_path / "state")
@@ -195,7 +195,7 @@ def test_what_another_process_changes_holds_from_the_next_request_on(
         who(store, made.secret)
 
 
-def test_a_request_writes_nothing_but_once_a_day(store: TokenStore, clock: Clock) -> None:
+def test_request_writes_nothing_but_once_a_day(store: TokenStore, clock: Clock) -> None:
     made = make(store)
     versions = [store._file.version]
     for _ in range(3):
@@ -209,7 +209,7 @@ def test_a_request_writes_nothing_but_once_a_day(store: TokenStore, clock: Clock
     assert store.tokens()[0].last_used_on == "2027-01-18"
 
 
-def test_a_disk_that_takes_nothing_refuses_no_request(
+def test_disk_that_takes_nothing_refuses_no_request(
     store: TokenStore, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = make(store)
@@ -239,7 +239,7 @@ def test_a_disk_that_takes_nothing_refuses_no_request(
     assert store.tokens()[0].last_used_on == "2027-01-15"
 
 
-def test_what_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> None:
+def test_path_that_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StartError, match=r"file cannot be used .* --state-dir"):
         TokenStore(tmp_path / "file")
@@ -263,7 +263,7 @@ def test_damaged_tokens_are_put_right_while_the_daemon_runs_and_at_its_start(
 
 @pytest.mark.parametrize("running", [True, False], ids=["while it runs", "at the start"])
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_where_the_tokens_are_lost_nobody_is_let_in(
+def test_lost_tokens_let_nobody_in(
     tmp_path: Path, damage: Callable[[Path], None], running: bool
 ) -> None:
     faults: list[ProblemError] = []
@@ -288,7 +288,7 @@ def test_where_the_tokens_are_lost_nobody_is_let_in(
 
 
 @pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER", "bEaReR"])
-def test_the_scheme_of_a_token_is_taken_in_any_case(store: TokenStore, scheme: str) -> None:
+def test_scheme_of_a_token_is_taken_in_any_case(store: TokenStore, scheme: str) -> None:
     made = make(store)
     assert store.caller(f"{scheme} {made.secret}").id == made.id
     for wrong in (f"{scheme}{made.secret}", f"{scheme}s {made.secret}"):
@@ -342,14 +342,14 @@ def test_tokens_are_forgotten_90_days_after_they_ended(
     assert not {ending.id, both.id} & held()
 
 
-def test_a_state_directory_is_made_for_the_owner_alone(tmp_path: Path) -> None:
+def test_state_directory_is_made_for_the_owner_alone(tmp_path: Path) -> None:
     directory = tmp_path / "var" / "state"
     store = TokenStore(directory)
     assert stat.S_IMODE(directory.stat().st_mode) == 0o700
     assert store.tokens() == ()
 
 
-def test_a_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> None:
+def test_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> None:
     endless, ending = make(store, "metrics"), make(store, lifetime=60.0)
     store.revoke(endless.id)
     first, second = store.tokens()
@@ -363,16 +363,14 @@ def test_a_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> Non
     assert len(endless.id) == 12  # 48 bits: a name, not a secret
 
 
-def test_a_store_that_is_opened_knows_the_tokens_of_before(
-    store: TokenStore, tmp_path: Path
-) -> None:
+def test_store_that_is_opened_knows_the_tokens_of_before(store: TokenStore, tmp_path: Path) -> None:
     made = make(store)
     again = TokenStore(tmp_path / "state")
     assert [token.id for token in again.tokens()] == [made.id]
     assert who(again, made.secret).id == made.id
 
 
-def test_how_long_a_caller_may_still_come(store: TokenStore, clock: Clock) -> None:
+def test_caller_is_told_how_long_it_may_still_come(store: TokenStore, clock: Clock) -> None:
     caller = who(store, make(store, lifetime=60.0).secret)
     assert caller.expires == clock.wall + 60.0
     clock.sleep(45)
@@ -384,7 +382,7 @@ def test_how_long_a_caller_may_still_come(store: TokenStore, clock: Clock) -> No
     assert store.lifetime(who(store, make(store).secret)) is None
 
 
-def test_a_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, clock: Clock) -> None:
+def test_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, clock: Clock) -> None:
     made = make(store, lifetime=60.0)
     for _ in range(6):
         who(store, made.secret)
@@ -393,7 +391,7 @@ def test_a_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, cloc
         who(store, made.secret)
 
 
-def test_a_revocation_tells_the_time_to_the_next_start(
+def test_revocation_tells_the_time_to_the_next_start(
     store: TokenStore, clock: Clock, tmp_path: Path
 ) -> None:
     ending, other = make(store, lifetime=60.0), make(store)
@@ -405,7 +403,7 @@ def test_a_revocation_tells_the_time_to_the_next_start(
         who(again, ending.secret)
 
 
-def test_a_secret_opens_no_token_but_its_own(store: TokenStore) -> None:
+def test_secret_opens_no_token_but_its_own(store: TokenStore) -> None:
     first, second = make(store), make(store)
     secret = second.secret.rpartition("_")[2]
     with pytest.raises(UnauthorizedError):
@@ -419,7 +417,7 @@ def test_tokens_are_asked_and_made_on_any_thread(store: TokenStore) -> None:
         assert other.submit(who, store, made.secret).result().id == made.id
 
 
-def test_what_is_made_is_flushed_to_the_disk(store: TokenStore, flushed: list[str]) -> None:
+def test_token_made_is_flushed_to_the_disk(store: TokenStore, flushed: list[str]) -> None:
     made = make(store)
     assert flushed == ["tokens.json.new", "tokens.json.copy.new", "state"]
     store.revoke(made.id)
@@ -434,7 +432,7 @@ def test_two_stores_that_write_at_once_lose_nothing(store: TokenStore, tmp_path:
     assert store.tokens() == other.tokens()
 
 
-def test_a_change_that_breaks_off_leaves_nothing(
+def test_change_that_breaks_off_leaves_nothing(
     store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = make(store)
@@ -485,7 +483,7 @@ async def test_tokens_over_http(running: Running, store: TokenStore) -> None:
 
 
 @pytest.mark.anyio
-async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
+async def test_token_allows_no_more_and_lasts_no_longer_than_its_maker_s(
     running: Running, store: TokenStore
 ) -> None:
     admin = make(store, "admin:tokens", "read:status", lifetime=100.0)
@@ -508,7 +506,7 @@ async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
 
 
 @pytest.mark.anyio
-async def test_where_no_tokens_are_wanted_none_are_made(running: Running) -> None:
+async def test_tokens_are_not_made_where_none_are_wanted(running: Running) -> None:
     async with running() as client:
         for answer in (
             await client.get("/v1/tokens"),
@@ -566,7 +564,7 @@ def test_tokens_from_a_terminal(tmp_path: Path) -> None:
         (["revoke", "nothing"], "there is no token of this id"),
     ],
 )
-def test_a_mistake_ends_with_one_line(tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_mistake_ends_with_one_line(tmp_path: Path, arguments: list[str], message: str) -> None:
     result = runner.invoke(app, ["token", *arguments, "--state-dir", str(tmp_path)])
     assert result.exit_code == 1
     assert message in result.stderr
@@ -584,7 +582,7 @@ def test_damage_is_told_in_the_terminal_beside_the_answer(tmp_path: Path) -> Non
     )
 
 
-def test_a_token_whose_audit_line_cannot_be_written_is_not_given(tmp_path: Path) -> None:
+def test_token_whose_audit_line_cannot_be_written_is_not_given(tmp_path: Path) -> None:
     (tmp_path / DONE).mkdir()
     options = ("--label", "x", "--scope", "classify", "--state-dir", str(tmp_path))
     result = runner.invoke(app, ["token", "create", *options])

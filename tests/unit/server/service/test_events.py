@@ -38,7 +38,7 @@ def names(events: list[Event]) -> list[str]:
     return [event.epoch if isinstance(event, MaskChanged) else event.kind for event in events]
 
 
-async def test_a_new_listener_hears_what_happens_from_now_on() -> None:
+async def test_new_listener_hears_what_happens_from_now_on() -> None:
     log = EventLog()
     fill(log, "before")
     hearing = asyncio.create_task(take(log.follow(None, 1.0), 2))
@@ -47,7 +47,7 @@ async def test_a_new_listener_hears_what_happens_from_now_on() -> None:
     assert names(await hearing) == ["a", "b"]
 
 
-async def test_who_comes_back_goes_on_where_it_stopped() -> None:
+async def test_listener_that_comes_back_goes_on_where_it_stopped() -> None:
     log = EventLog()
     fill(log, "a", "b", "c")
     heard = await take(log.follow(f"{log._boot}-0", 1.0), 2)
@@ -66,7 +66,7 @@ async def test_missed_events_are_told_and_counted() -> None:
     assert names(await take(log.follow(heard[0].id, 1.0), 3)) == ["f", "g", "h"]
 
 
-async def test_whoever_follows_misses_nothing_from_then_on() -> None:
+async def test_listener_misses_nothing_from_then_on() -> None:
     log = EventLog()
     fill(log, "a")
     stream = log.follow(None, 1.0)
@@ -74,7 +74,7 @@ async def test_whoever_follows_misses_nothing_from_then_on() -> None:
     assert names(await take(stream, 2)) == ["b", "c"]
 
 
-async def test_a_slow_listener_is_told_what_it_missed() -> None:
+async def test_slow_listener_is_told_what_it_missed() -> None:
     log = EventLog(capacity=2)
     stream = log.follow(None, 1.0)
     first = asyncio.ensure_future(anext(stream))
@@ -89,7 +89,7 @@ async def test_a_slow_listener_is_told_what_it_missed() -> None:
 
 
 @pytest.mark.parametrize("last", ["00000000-5", "nonsense", "", "-", "x-٣"])
-async def test_an_id_of_another_boot_is_a_gap(last: str) -> None:
+async def test_id_of_another_boot_is_a_gap(last: str) -> None:
     log = EventLog()
     fill(log, "a")
     heard = await take(log.follow(last, 1.0), 2)
@@ -98,7 +98,7 @@ async def test_an_id_of_another_boot_is_a_gap(last: str) -> None:
     assert names(heard) == ["gap", "a"]
 
 
-async def test_an_id_from_the_future_is_taken_as_the_last() -> None:
+async def test_id_from_the_future_is_taken_as_the_last() -> None:
     log = EventLog()
     fill(log, "a")
     hearing = asyncio.create_task(take(log.follow(f"{log._boot}-99999999999999999999", 1.0), 1))
@@ -123,7 +123,7 @@ async def test_closing_ends_every_stream() -> None:
     assert await asyncio.gather(*hearing) == [[], [], []]
 
 
-async def test_the_service_tells_what_it_does(bench: Bench) -> None:
+async def test_service_tells_what_it_does(bench: Bench) -> None:
     service = bench.service(bench.camera())
     async with service.open():
         stream = service.events(None)

@@ -28,7 +28,7 @@ def shown(camera: MaskedCamera) -> Epoch:
     return active.epoch
 
 
-async def test_a_request_that_was_called_off_lets_go(
+async def test_request_that_was_called_off_lets_go(
     fresh_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inside, go_on = threading.Event(), threading.Event()
@@ -62,7 +62,7 @@ async def test_a_request_that_was_called_off_lets_go(
         await until(lambda: epoch.erased)
 
 
-async def test_a_request_that_fails_lets_go(
+async def test_request_that_fails_lets_go(
     fresh_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(reader: FreshReader, measurement: Measurement) -> Prediction:

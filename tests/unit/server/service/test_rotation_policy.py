@@ -58,7 +58,7 @@ def rig(tmp_path: Path) -> Rig:
 
 
 @pytest.mark.parametrize("policy", [OFF, OFTEN, SELDOM])
-def test_what_was_set_holds_after_a_restart(rig: Rig, policy: RotationPolicy) -> None:
+def test_policy_holds_after_a_restart(rig: Rig, policy: RotationPolicy) -> None:
     assert rig.start() == OFF
     assert rig.start(default=OFTEN) == OFTEN
     rig.open().set(OFTEN)
@@ -79,7 +79,7 @@ def test_another_setting_at_the_start_ends_what_was_set(rig: Rig) -> None:
 
 @pytest.mark.parametrize("name", ["rotation.json", "rotation.json.copy"])
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_is_put_right(rig: Rig, damage: Callable[[Path], None], name: str) -> None:
+def test_damaged_record_is_put_right(rig: Rig, damage: Callable[[Path], None], name: str) -> None:
     rig.open().set(SELDOM)
     damage(rig.directory / name)
     assert rig.start() == SELDOM
@@ -87,7 +87,7 @@ def test_a_damaged_record_is_put_right(rig: Rig, damage: Callable[[Path], None],
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_lost_record_is_told_and_the_setting_holds(
+def test_lost_record_is_told_and_the_setting_holds(
     rig: Rig, damage: Callable[[Path], None]
 ) -> None:
     rig.open().set(OFF)
@@ -99,7 +99,7 @@ def test_a_lost_record_is_told_and_the_setting_holds(
     assert "masks change as the daemon was told at its start; set it again" in str(fault)
 
 
-def test_a_lone_mask_stays_and_no_start_is_refused_for_the_state(rig: Rig) -> None:
+def test_lone_mask_stays_and_no_start_is_refused_for_the_state(rig: Rig) -> None:
     """The bundle of before is damaged, and what is left has one mask."""
     rig.open().set(OFTEN)
     assert rig.start(renewable=False) == OFF
@@ -111,7 +111,7 @@ def test_a_lone_mask_stays_and_no_start_is_refused_for_the_state(rig: Rig) -> No
     assert not rig.faults
 
 
-def test_a_lone_mask_in_use_under_a_lost_policy_stays(rig: Rig) -> None:
+def test_lone_mask_in_use_under_a_lost_policy_stays(rig: Rig) -> None:
     assert rig.start(OFTEN, renewable=False, configured=False) == OFF
     assert [fault.code for fault in rig.faults] == ["rotation_impossible"]
     assert rig.start(OFTEN, renewable=True, configured=False) == OFTEN
@@ -122,7 +122,9 @@ def test_settings_that_do_not_fit_together_are_left_to_the_start(rig: Rig) -> No
     assert not rig.faults
 
 
-def test_what_cannot_be_made_durable_is_an_error(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policy_that_cannot_be_made_durable_is_an_error(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(update: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -135,7 +137,7 @@ def test_what_cannot_be_made_durable_is_an_error(rig: Rig, monkeypatch: pytest.M
 
 
 @pytest.mark.anyio
-async def test_a_policy_is_durable_before_the_answer_or_not_in_use(
+async def test_policy_is_durable_before_the_answer_or_not_in_use(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = bench.service(bench.camera())
@@ -166,7 +168,7 @@ async def test_a_policy_is_durable_before_the_answer_or_not_in_use(
 
 
 @pytest.mark.anyio
-async def test_a_policy_that_needs_another_mask_is_not_recorded(lone_bench: Bench) -> None:
+async def test_policy_that_needs_another_mask_is_not_recorded(lone_bench: Bench) -> None:
     service = lone_bench.service(lone_bench.camera())
     service._policies = PolicyStore(lone_bench.state_dir, None)
     async with service.open():

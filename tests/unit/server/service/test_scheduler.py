@@ -33,7 +33,7 @@ def scheduler(bench: Bench, camera: Any, **more: Any) -> Scheduler:
 
 
 @pytest.mark.anyio
-async def test_the_panel_is_tested_now_and_then(bench: Bench) -> None:
+async def test_panel_is_tested_now_and_then(bench: Bench) -> None:
     camera = bench.camera(test_every=0.01)
     async with scheduler(bench, camera).running():
         await until(lambda: bench.test.runs >= 4)
@@ -42,7 +42,7 @@ async def test_the_panel_is_tested_now_and_then(bench: Bench) -> None:
 
 
 @pytest.mark.anyio
-async def test_what_is_added_is_done_when_due_and_an_event_tells_to_look_again(
+async def test_added_task_is_done_when_due_and_an_event_tells_to_look_again(
     bench: Bench,
 ) -> None:
     camera = bench.camera()
@@ -64,7 +64,7 @@ async def test_what_is_added_is_done_when_due_and_an_event_tells_to_look_again(
 
 
 @pytest.mark.anyio
-async def test_a_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None:
+async def test_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None:
     camera = bench.camera()
     bench.test.faults = [UndecidedError("it is too dark")] * 4
     bench.display.resets += 1
@@ -110,7 +110,7 @@ async def test_masks_change_while_nobody_captures(bench: Bench) -> None:
 
 
 @pytest.mark.anyio
-async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> None:
+async def test_watchdog_is_fed_while_the_device_answers(bench: Bench) -> None:
     camera = bench.camera()
     told: list[str] = []
     go_on, hanging = threading.Event(), threading.Event()
@@ -151,7 +151,7 @@ async def test_without_a_watchdog_nobody_is_told(bench: Bench) -> None:
     camera.stop()
 
 
-def test_whatever_is_asked_of_the_device_is_stamped(bench: Bench) -> None:
+def test_calls_of_the_device_are_stamped(bench: Bench) -> None:
     clock = Clock()
     health = Health(5.0, clock)
     device = stamped(Device(bench.display, bench.sensor, simulated=True), health)
@@ -186,7 +186,7 @@ def test_whatever_is_asked_of_the_device_is_stamped(bench: Bench) -> None:
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
+async def test_failed_test_is_no_fault_of_its_own_in_the_events(
     bench: Bench, running: Running
 ) -> None:
     """The state tells of it, once; a dark night would fill every log."""
@@ -213,7 +213,7 @@ async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
 
 
 @pytest.mark.anyio
-async def test_a_sensor_that_fails_again_and_again_ends_nothing(bench: Bench) -> None:
+async def test_sensor_that_fails_again_and_again_ends_nothing(bench: Bench) -> None:
     def fail() -> None:
         raise SensorError("the camera gave no frame")
 
@@ -229,7 +229,7 @@ async def test_a_sensor_that_fails_again_and_again_ends_nothing(bench: Bench) ->
         await service.capture()
 
 
-def test_a_sensor_that_is_not_let_go_is_the_watchdogs_business(bench: Bench) -> None:
+def test_sensor_that_is_not_let_go_is_the_watchdogs_business(bench: Bench) -> None:
     camera = bench.camera()
 
     def hang() -> None:

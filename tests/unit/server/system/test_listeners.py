@@ -14,7 +14,7 @@ from veilcam_server.system import listeners
 from veilcam_server.system.listeners import open_listeners, require_free
 
 
-def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
+def test_listener_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
     def refused(reason: str, **more: object) -> None:
         settings = Settings(bundle=bundle_file, **more)  # type: ignore[arg-type]
         with pytest.raises(StartError, match=reason), open_listeners(settings):
@@ -43,7 +43,7 @@ def test_answers_do_not_wait_for_acknowledgements(bundle_file: Path) -> None:
         assert listener.url == f"http://127.0.0.1:{listener.socket.getsockname()[1]}"
 
 
-def test_a_socket_of_its_own_is_removed(bundle_file: Path, tmp_path: Path) -> None:
+def test_socket_of_its_own_is_removed(bundle_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "v.sock"
     with open_listeners(Settings(bundle=bundle_file, socket=path)) as [listener]:
         assert listener.url == f"unix://{path}"
@@ -87,7 +87,7 @@ def test_no_tls_on_a_unix_socket(
             pass
 
 
-def test_a_place_that_is_free_is_left_free(
+def test_place_that_is_free_is_left_free(
     bundle_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = tmp_path / "api.sock"

@@ -37,7 +37,7 @@ class Disk(io.StringIO):
         ValueError("I/O operation on closed file"),
     ],
 )
-def test_what_cannot_be_written_is_counted_and_said_once(fault: Exception) -> None:
+def test_line_that_cannot_be_written_is_counted_and_said_once(fault: Exception) -> None:
     disk = Disk()
     stream = LogStream(disk)
     stream.write("first\n")
@@ -67,7 +67,7 @@ def test_logs_onto_a_full_disk_end_nothing(monkeypatch: pytest.MonkeyPatch) -> N
         _say("http://127.0.0.1:8787")
 
 
-def test_a_pipe_that_nobody_reads_ends_nothing() -> None:
+def test_pipe_that_nobody_reads_ends_nothing() -> None:
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb", buffering=0) as raw:
@@ -77,7 +77,7 @@ def test_a_pipe_that_nobody_reads_ends_nothing() -> None:
         assert stream.lost == 2
 
 
-def test_a_defect_is_told_without_its_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_defect_is_told_without_its_text(capsys: pytest.CaptureFixture[str]) -> None:
     try:
         raise RuntimeError("0 63 12 7")
     except RuntimeError as error:
@@ -85,11 +85,11 @@ def test_a_defect_is_told_without_its_text(capsys: pytest.CaptureFixture[str]) -
     told = capsys.readouterr().out
     assert "RuntimeError" in told
     assert "rotation" in told
-    assert "test_a_defect_is_told_without_its_text" in told
+    assert "test_defect_is_told_without_its_text" in told
     assert "63" not in told
 
 
-def test_a_line_a_minute_stands_for_all_that_came() -> None:
+def test_line_a_minute_stands_for_all_that_came() -> None:
     clock = [100.0]
     throttle = Throttle(60.0, now=lambda: clock[0])
     assert throttle.due() == 1

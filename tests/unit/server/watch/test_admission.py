@@ -27,14 +27,14 @@ from veilcam_server.watch.admission import Admission
         (-0.02, 1.0, False),
     ],
 )
-def test_a_thing_is_bright_enough_and_familiar(
+def test_thing_is_bright_enough_and_familiar(
     light: float, novelty: float | None, admitted: bool
 ) -> None:
     evidence = Evidence(LABELS, (0.0, 0.0, 0.0), light, novelty)
     assert Admission(least_light=0.01, most_novelty=5.0).admits(evidence) is admitted
 
 
-def test_a_black_level_that_is_hardly_known_asks_for_more_light() -> None:
+def test_black_level_that_is_hardly_known_asks_for_more_light() -> None:
     [status] = [each for each in EXAMPLES if isinstance(each, CalibrationStatus)]
     assert status.signed is not None
     known = status.signed.record.model_copy(
@@ -62,6 +62,6 @@ def test_thresholds_that_cannot_be_are_refused(value: float) -> None:
         Admission(most_novelty=value)
 
 
-def test_a_label_s_evidence_is_admitted_and_darkness_is_not(look: Look) -> None:
+def test_label_s_evidence_is_admitted_and_darkness_is_not(look: Look) -> None:
     assert Admission().admits(look("a"))
     assert not Admission().admits(look(None))

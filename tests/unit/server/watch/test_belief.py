@@ -28,7 +28,7 @@ def generator(dynamics: Dynamics, classes: int) -> Values:
 
 @pytest.mark.parametrize("classes", [1, 2, 3, 10])
 @pytest.mark.parametrize("seconds", [0.0, 0.1, 0.5, 7.0, 1e4])
-def test_a_prediction_solves_the_equations(classes: int, seconds: float) -> None:
+def test_prediction_solves_the_equations(classes: int, seconds: float) -> None:
     dynamics = Dynamics(arrival=0.3, departure=0.7, exchange=0.2)
     belief = np.random.default_rng(classes).dirichlet(np.ones(1 + classes))
     wanted = expm(seconds * generator(dynamics, classes)) @ belief
@@ -36,7 +36,7 @@ def test_a_prediction_solves_the_equations(classes: int, seconds: float) -> None
 
 
 @pytest.mark.parametrize("classes", [1, 4])
-def test_the_prior_is_what_time_does_not_change(classes: int) -> None:
+def test_prior_is_what_time_does_not_change(classes: int) -> None:
     dynamics = Dynamics()
     prior = dynamics.prior(classes)
     assert prior.sum() == pytest.approx(1)
@@ -57,7 +57,7 @@ def test_nothing_becomes_impossible() -> None:
     assert np.isfinite(sure).all()
 
 
-def test_a_capture_that_is_admitted_tells_of_classes_as_the_classifier_does() -> None:
+def test_capture_that_is_admitted_tells_of_classes_as_the_classifier_does() -> None:
     sensing = Sensing(temperature=2.0, missed=0.02, mistaken=0.1)
     logits = np.array([1.0, 3.0, -2.0])
     scores = np.exp(logits / 2) / np.exp(logits / 2).sum()
@@ -67,7 +67,7 @@ def test_a_capture_that_is_admitted_tells_of_classes_as_the_classifier_does() ->
     assert wanted[1:].mean() == pytest.approx(0.98)
 
 
-def test_a_capture_that_is_not_admitted_tells_of_nothing_but_that() -> None:
+def test_capture_that_is_not_admitted_tells_of_nothing_but_that() -> None:
     sensing = Sensing(temperature=2.0, missed=0.02, mistaken=0.1)
     found = sensing.likelihood((1.0, 900.0, -2.0), admitted=False)
     assert found.tolist() == [0.9, 0.02, 0.02, 0.02]
@@ -85,7 +85,7 @@ def test_bayes_rule() -> None:
     assert found == pytest.approx(np.array([0.05, 0.06, 0.08]) / 0.19)
 
 
-def test_what_is_told_leaves_room_for_scenes_that_read_as_another_class() -> None:
+def test_belief_leaves_room_for_scenes_that_read_as_another_class() -> None:
     sensing = Sensing(temperature=1.0, misread=0.04)
     told = sensing.told(np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
     assert told == pytest.approx([0, 0.96, 0.01, 0.01, 0.01, 0.01])

@@ -34,7 +34,7 @@ def told(changes: list[tuple[float, Change]]) -> list[tuple[float, str, str, flo
     return [(at, each.kind, each.label, each.duration) for at, each in changes]
 
 
-def test_a_thing_is_told_of_once_when_it_comes_and_once_when_it_goes(
+def test_thing_is_told_of_once_when_it_comes_and_once_when_it_goes(
     fusion: Fusion, look: Look
 ) -> None:
     seen = [*4 * [None], *20 * ["a"], *10 * [None]]
@@ -48,9 +48,7 @@ def test_a_thing_is_told_of_once_when_it_comes_and_once_when_it_goes(
     assert 1 - GONE <= sure[1] < 1
 
 
-def test_a_thing_for_another_is_one_that_goes_and_one_that_comes(
-    fusion: Fusion, look: Look
-) -> None:
+def test_thing_for_another_is_one_that_goes_and_one_that_comes(fusion: Fusion, look: Look) -> None:
     changes = run(fusion, map(look, [None, *6 * ["a"], *6 * ["c"]]))
     kinds = [(change.kind, change.label) for _, change in changes]
     assert kinds == [("seen", "a"), ("gone", "a"), ("seen", "c")]
@@ -65,7 +63,7 @@ def test_one_look_that_sees_something_else_changes_nothing(
     assert run(Fusion(Admission(), Dynamics(), 4), map(look, [*4 * [None], "b", None])) == []
 
 
-def test_what_looks_like_no_thing_is_nothing_however_sure_the_classifier(
+def test_look_like_no_thing_is_nothing_however_sure_the_classifier(
     fusion: Fusion, look: Look
 ) -> None:
     assert run(fusion, 50 * [look("a", novelty=50.0)]) == []
@@ -74,7 +72,7 @@ def test_what_looks_like_no_thing_is_nothing_however_sure_the_classifier(
     assert (fusion.leader.label, fusion.leader.looks) == (None, 100)
 
 
-def test_who_stops_looking_believes_nothing(fusion: Fusion, look: Look) -> None:
+def test_fusion_that_stops_looking_believes_nothing(fusion: Fusion, look: Look) -> None:
     run(fusion, map(look, 6 * ["a"]))
     [change] = fusion.stop()
     assert change == Change("gone", "a", None, 2.5)
@@ -95,7 +93,7 @@ def test_classes_of_another_bundle_begin_anew(fusion: Fusion, look: Look) -> Non
     assert [(change.kind, change.label) for _, change in changes] == [("gone", "a"), ("seen", "x")]
 
 
-def test_a_bundle_without_statistics_of_scenes_is_believed_less(look: Look) -> None:
+def test_bundle_without_statistics_of_scenes_is_believed_less(look: Look) -> None:
     confidences = []
     for novelty in (1.0, None):
         fusion = Fusion(Admission(), Dynamics(), 4)
@@ -105,7 +103,7 @@ def test_a_bundle_without_statistics_of_scenes_is_believed_less(look: Look) -> N
     assert confidences[0] > confidences[1] > SEEN
 
 
-def test_the_history_is_the_last_sights_newest_first(fusion: Fusion, look: Look) -> None:
+def test_history_is_the_last_sights_newest_first(fusion: Fusion, look: Look) -> None:
     for number in range(9):
         run(fusion, map(look, [*4 * [LABELS[number % 3]], *4 * [None]]), begin=4.0 * number)
     run(fusion, map(look, 4 * ["b"]), begin=36.0)

@@ -16,7 +16,7 @@ BERLIN = ZoneInfo("Europe/Berlin")
 TWICE = Watching(rate_hz=2.0)
 
 
-def test_what_was_set_holds_until_another_setting(tmp_path: Path) -> None:
+def test_policy_holds_until_another_setting(tmp_path: Path) -> None:
     assert WatchStore(tmp_path, OnRequest()).at_start() == OnRequest()
     WatchStore(tmp_path, OnRequest()).set(WatchOff())
     assert WatchStore(tmp_path, OnRequest()).at_start() == WatchOff()
@@ -25,7 +25,7 @@ def test_what_was_set_holds_until_another_setting(tmp_path: Path) -> None:
     assert WatchStore(tmp_path, TWICE).at_start() == OnRequest()
 
 
-def test_a_lost_record_switches_nothing_on(tmp_path: Path) -> None:
+def test_lost_record_switches_nothing_on(tmp_path: Path) -> None:
     faults = list[ProblemError]()
     WatchStore(tmp_path, TWICE).set(WatchOff())
     for path in (tmp_path / "watch.json", tmp_path / "watch.json.copy"):
@@ -43,7 +43,7 @@ def test_one_damaged_copy_changes_nothing(tmp_path: Path) -> None:
     assert [fault.code for fault in faults] == ["state_damaged"]
 
 
-def test_a_disk_that_takes_nothing_is_told(tmp_path: Path) -> None:
+def test_disk_that_takes_nothing_is_told(tmp_path: Path) -> None:
     store = WatchStore(tmp_path / "gone", OnRequest())
     with pytest.raises(WatchStoreError, match=r"the one before goes on; check the state"):
         store.set(TWICE)
@@ -85,7 +85,7 @@ def quiet_minutes(hours: QuietHours, begin: datetime, minutes: int) -> list[str]
     return [f"{now:%H:%M%z}" for now in times if resting(policy, now) is not None]
 
 
-def test_an_hour_that_spring_leaves_out_is_no_time_to_wait_for() -> None:
+def test_hour_that_spring_leaves_out_is_no_time_to_wait_for() -> None:
     """29 March 2026: after 01:59 comes 03:00."""
     begins_inside = quiet_minutes(
         QuietHours(begin="02:30", end="03:05"), at("2026-03-29T01:30"), 120
@@ -95,7 +95,7 @@ def test_an_hour_that_spring_leaves_out_is_no_time_to_wait_for() -> None:
     assert ends_inside == ["01:57+0100", "01:58+0100", "01:59+0100"]
 
 
-def test_an_hour_that_autumn_has_twice_is_quiet_both_times() -> None:
+def test_hour_that_autumn_has_twice_is_quiet_both_times() -> None:
     """25 October 2026: after 02:59 comes 02:00 again."""
     found = quiet_minutes(QuietHours(begin="02:57", end="03:00"), at("2026-10-25T01:30"), 240)
     assert found == [f"02:{minute}{zone}" for zone in ("+0200", "+0100") for minute in (57, 58, 59)]

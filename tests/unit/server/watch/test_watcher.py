@@ -151,7 +151,7 @@ def make(tmp_path: Path, look: Look) -> Callable[..., Bench]:
     return lambda **given: Bench(tmp_path / "state", look, **given)
 
 
-async def test_it_looks_as_often_as_it_is_told(make: Callable[..., Bench]) -> None:
+async def test_watcher_looks_as_often_as_it_is_told(make: Callable[..., Bench]) -> None:
     bench = make()
     await bench.pass_time(10.0)
     assert bench.times == [100 + 0.5 * number for number in range(21)]
@@ -162,7 +162,7 @@ async def test_it_looks_as_often_as_it_is_told(make: Callable[..., Bench]) -> No
     assert bench.events == []
 
 
-async def test_what_comes_and_goes_is_told_with_times_of_the_clock_on_the_wall(
+async def test_sights_are_told_with_times_of_the_clock_on_the_wall(
     make: Callable[..., Bench],
 ) -> None:
     bench = make()
@@ -187,7 +187,9 @@ async def test_what_comes_and_goes_is_told_with_times_of_the_clock_on_the_wall(
     assert past.duration_s == 5.0
 
 
-async def test_it_remembers_so_many_sights_and_labels_alone(make: Callable[..., Bench]) -> None:
+async def test_watcher_remembers_so_many_sights_and_labels_alone(
+    make: Callable[..., Bench],
+) -> None:
     bench = make()
     for number in range(MOST_SIGHTINGS + 3):
         bench.sees = "abc"[number % 3]
@@ -201,7 +203,7 @@ async def test_it_remembers_so_many_sights_and_labels_alone(make: Callable[..., 
     }
 
 
-async def test_a_caller_s_capture_goes_first(make: Callable[..., Bench]) -> None:
+async def test_caller_s_capture_goes_first(make: Callable[..., Bench]) -> None:
     bench = make(sees="a")
     await bench.pass_time(2.0)
     looks, bench.busy = len(bench.times), True
@@ -218,7 +220,7 @@ async def test_a_caller_s_capture_goes_first(make: Callable[..., Bench]) -> None
     assert bench.watcher.state().detail == "others take captures all the time"
 
 
-async def test_it_waits_while_somebody_holds_the_camera(make: Callable[..., Bench]) -> None:
+async def test_watcher_waits_while_somebody_holds_the_camera(make: Callable[..., Bench]) -> None:
     bench = make(sees="a")
     await bench.pass_time(2.0)
     looks, bench.leased = len(bench.times), True
@@ -237,7 +239,7 @@ async def test_it_waits_while_somebody_holds_the_camera(make: Callable[..., Benc
 
 
 @pytest.mark.parametrize("state", ["starting", "self-test", "calibrating", "degraded", "safe"])
-async def test_a_camera_that_is_not_ready_is_not_asked(
+async def test_camera_that_is_not_ready_is_not_asked(
     make: Callable[..., Bench], state: Any
 ) -> None:
     bench = make(sees="a")
@@ -250,7 +252,7 @@ async def test_a_camera_that_is_not_ready_is_not_asked(
     assert bench.told(Gone)[0].reason == "not_looking"
 
 
-async def test_a_short_self_test_changes_nothing(make: Callable[..., Bench]) -> None:
+async def test_short_self_test_changes_nothing(make: Callable[..., Bench]) -> None:
     bench = make(sees="a")
     await bench.pass_time(2.0)
     bench.camera.state = Condition("self-test")
@@ -377,7 +379,7 @@ async def test_off_is_opaque_before_it_is_answered(make: Callable[..., Bench]) -
     assert WatchStore(bench.folder, OnRequest()).at_start() == TWICE
 
 
-async def test_what_was_looked_at_when_it_was_switched_off_is_not_told(
+async def test_look_under_way_when_it_is_switched_off_is_not_told(
     make: Callable[..., Bench],
 ) -> None:
     bench = make(sees=None)
@@ -395,7 +397,7 @@ async def test_what_was_looked_at_when_it_was_switched_off_is_not_told(
     assert bench.watcher.state().looks == 4
 
 
-async def test_what_was_looked_at_when_quiet_hours_began_is_not_told(
+async def test_look_under_way_when_quiet_hours_begin_is_not_told(
     make: Callable[..., Bench],
 ) -> None:
     bench = make(policy=Watching(rate_hz=2.0, quiet=NIGHT))
@@ -417,7 +419,7 @@ async def test_on_request_it_does_not_look_by_itself(make: Callable[..., Bench])
     assert (state.activity, state.belief, state.history) == ("on_request", None, ())
 
 
-async def test_a_daemon_that_starts_off_stays_off_and_can_be_switched_on(
+async def test_daemon_that_starts_off_stays_off_and_can_be_switched_on(
     make: Callable[..., Bench],
 ) -> None:
     bench = make(policy=WatchOff())
@@ -435,7 +437,7 @@ async def test_quiet_hours_that_end_before_it_runs_end(make: Callable[..., Bench
     assert bench.camera.told == ["wake"]
 
 
-async def test_a_panel_that_does_not_become_opaque_is_told_and_stays_wanted(
+async def test_panel_that_does_not_become_opaque_is_told_and_stays_wanted(
     make: Callable[..., Bench],
 ) -> None:
     bench = make()
@@ -448,7 +450,7 @@ async def test_a_panel_that_does_not_become_opaque_is_told_and_stays_wanted(
     assert bench.watcher.look_due_in() == math.inf
 
 
-async def test_a_room_that_is_too_dark_to_begin_is_no_reason_to_refuse(
+async def test_room_that_is_too_dark_to_begin_is_no_reason_to_refuse(
     make: Callable[..., Bench],
 ) -> None:
     bench = make(policy=WatchOff())
@@ -460,7 +462,7 @@ async def test_a_room_that_is_too_dark_to_begin_is_no_reason_to_refuse(
     assert bench.watcher.state().detail == "too dark"
 
 
-async def test_a_policy_that_cannot_be_kept_does_not_hold(make: Callable[..., Bench]) -> None:
+async def test_policy_that_cannot_be_kept_does_not_hold(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.folder.rmdir()
     with pytest.raises(WatchStoreError):
@@ -470,7 +472,7 @@ async def test_a_policy_that_cannot_be_kept_does_not_hold(make: Callable[..., Be
     assert bench.events == []
 
 
-async def test_a_full_disk_keeps_nobody_from_switching_it_off(make: Callable[..., Bench]) -> None:
+async def test_full_disk_keeps_nobody_from_switching_it_off(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.folder.rmdir()
     with pytest.raises(WatchStoreError, match="off until a restart"):
@@ -479,7 +481,7 @@ async def test_a_full_disk_keeps_nobody_from_switching_it_off(make: Callable[...
     assert bench.camera.told == ["the camera is switched off"]
 
 
-async def test_a_policy_is_told_of_once_and_only_if_it_changes(make: Callable[..., Bench]) -> None:
+async def test_policy_is_told_of_once_and_only_if_it_changes(make: Callable[..., Bench]) -> None:
     bench = make()
     await bench.watcher.set_policy(TWICE)
     assert bench.events == []

@@ -126,7 +126,7 @@ ROUNDING = 2e-3
 """Relative: the converter has 12 bits."""
 
 
-def test_the_sensor_sees_the_scene_through_the_mask(light: Light) -> None:
+def test_sensor_sees_the_scene_through_the_mask(light: Light) -> None:
     simulation = Simulation(light)
     simulation.display.show(NEW)
     assert difference(simulation.capture(), simulation.seen(NEW)) < ROUNDING
@@ -135,7 +135,7 @@ def test_the_sensor_sees_the_scene_through_the_mask(light: Light) -> None:
     assert difference(simulation.capture(), simulation.seen(OLD)) > 0.1
 
 
-def test_its_light_agrees_with_the_transfer_operator_of_training(light: Light) -> None:
+def test_light_agrees_with_the_transfer_operator_of_training(light: Light) -> None:
     simulation = Simulation(light)
     simulation.display.show(NEW)
     operator = TransferOperator(CAMERA, Scene(), EMBEDDING)
@@ -149,14 +149,14 @@ def test_its_light_agrees_with_the_transfer_operator_of_training(light: Light) -
     assert 0 < difference(simulation.capture(), expected) < 0.05
 
 
-def test_an_opaque_panel_lets_no_light_through() -> None:
+def test_opaque_panel_lets_no_light_through() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, snr_db=40.0))
     simulation.display.show(NEW)
     simulation.display.blank()
     assert not simulation.capture().any()
 
 
-def test_an_exposure_sees_the_scene_that_was_there_when_it_began() -> None:
+def test_exposure_sees_the_scene_that_was_there_when_it_began() -> None:
     simulation = Simulation(SHADOW)
     scenes = simulation.device.scenes
     assert scenes is not None
@@ -185,7 +185,7 @@ def test_an_exposure_sees_the_scene_that_was_there_when_it_began() -> None:
         simulation.capture(after=0.0)
 
 
-def test_an_exposure_while_the_crystal_turns_mixes_two_masks() -> None:
+def test_exposure_while_the_crystal_turns_mixes_two_masks() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, settle=0.1))
     simulation.display.show(OLD)
     simulation.clock.sleep(1)
@@ -206,7 +206,7 @@ def test_until_the_scan_has_passed_the_old_mask_is_shown() -> None:
     assert difference(simulation.capture(after=0.5), simulation.seen(NEW)) < ROUNDING
 
 
-def test_a_mask_that_changes_within_the_exposure_mixes() -> None:
+def test_mask_that_changes_within_the_exposure_mixes() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, settle=0.0))
     simulation.display.show(OLD)
     simulation.clock.sleep(1.0)
@@ -223,7 +223,7 @@ def test_a_mask_that_changes_within_the_exposure_mixes() -> None:
     assert difference(exposure.embedding, simulation.seen(NEW)) > 0.02
 
 
-def test_the_sensor_waits_as_long_as_it_was_told() -> None:
+def test_sensor_waits_as_long_as_it_was_told() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, exposure=0.02))
     exposure = simulation.sensor.capture(simulation.clock.now + 0.3, 5.0)
     assert exposure.started_at == pytest.approx(100.3)
@@ -239,7 +239,7 @@ def test_noise_has_the_ratio_asked_for_at_the_embedding() -> None:
     assert ratio == pytest.approx(40.0, abs=0.5)
 
 
-def test_the_seed_fixes_the_noise() -> None:
+def test_seed_fixes_the_noise() -> None:
     def measurement(seed: int | None) -> Measurement:
         simulation = Simulation(SHADOW, replace(QUIET, snr_db=40.0), seed=seed)
         simulation.scene.image = np.full((28, 28), 0.5, np.float32)
@@ -251,7 +251,7 @@ def test_the_seed_fixes_the_noise() -> None:
     assert not np.array_equal(measurement(None), measurement(None))
 
 
-def test_it_warms_up() -> None:
+def test_light_warms_up() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, settle=0.0, warm_up=0.2, warm_up_time=10.0))
     simulation.display.show(NEW)
     expected = simulation.seen(NEW).mean()
@@ -271,7 +271,7 @@ def test_light_comes_past_the_mask_as_a_share_of_the_open_window() -> None:
     assert simulation.capture().mean() == pytest.approx(0.1 * opened, rel=1e-2)
 
 
-def test_a_transparent_panel_lets_light_through_all_over_the_glass() -> None:
+def test_transparent_panel_lets_light_through_all_over_the_glass() -> None:
     simulation = Simulation(SHADOW)
     assert simulation.device.set_faults is not None
     opened = 0.0
@@ -287,7 +287,7 @@ def test_a_transparent_panel_lets_light_through_all_over_the_glass() -> None:
         assert seen == pytest.approx(opened * (whole if panel.dead else 1), rel=0.05)
 
 
-def test_a_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> None:
+def test_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, exposure=0.02))
     simulation.display.show(NEW)
     lit = simulation.capture().mean()
@@ -303,7 +303,7 @@ def test_a_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> Non
     assert seen == pytest.approx(lit / 4, rel=0.01)
 
 
-def test_what_a_decoder_need_not_know_changes_the_light(light: Light) -> None:
+def test_imperfections_unknown_to_decoders_change_the_light(light: Light) -> None:
     other = Simulation(
         planned_light(
             CAMERA,
@@ -331,7 +331,7 @@ def test_dead_lines_do_not_obey(light: Light) -> None:
     assert difference(dead.capture(), ideal.seen(NEW)) > 0.02
 
 
-def test_an_exposure_longer_than_the_timeout_is_a_timeout() -> None:
+def test_exposure_longer_than_the_timeout_is_a_timeout() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, exposure=2.0))
     with pytest.raises(SensorTimeoutError):
         simulation.sensor.capture(simulation.clock.now, 1.0)
@@ -345,7 +345,7 @@ def test_an_exposure_longer_than_the_timeout_is_a_timeout() -> None:
         np.full((9, 5), 64, np.uint8),
     ],
 )
-def test_the_panel_refuses_what_it_cannot_show(levels: np.ndarray) -> None:
+def test_panel_refuses_what_it_cannot_show(levels: np.ndarray) -> None:
     with pytest.raises(DisplayError):
         Simulation(SHADOW).display.show(levels)
 
@@ -358,7 +358,7 @@ def test_impossible_conditions_are_refused(name: str, value: float) -> None:
         Conditions(**given)
 
 
-def test_the_scene_is_what_the_file_holds_now(tmp_path: Path) -> None:
+def test_scene_is_what_the_file_holds_now(tmp_path: Path) -> None:
     path = tmp_path / "scene.npy"
     source = FileScene(path, (2, 3))
     write_scene(path, np.full((2, 3), 255, np.uint8))
@@ -383,7 +383,7 @@ def test_the_scene_is_what_the_file_holds_now(tmp_path: Path) -> None:
         (np.full((2, 3), None), "is no image"),
     ],
 )
-def test_a_bad_scene_file_is_a_sensor_error(
+def test_bad_scene_file_is_a_sensor_error(
     tmp_path: Path, content: np.ndarray | bytes | None, message: str
 ) -> None:
     path = tmp_path / "scene.npy"

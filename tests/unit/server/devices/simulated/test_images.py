@@ -52,7 +52,7 @@ def test_colour_becomes_grey_and_what_is_transparent_black() -> None:
     assert as_scene(encoded(clear), (2, 2)) == pytest.approx(0.2)
 
 
-def test_a_photograph_is_turned_upright() -> None:
+def test_photograph_is_turned_upright() -> None:
     image = Image.fromarray(np.array([[255, 0], [255, 0]], np.uint8))
     exif = Image.Exif()
     exif[0x0112] = 6  # its top is on the right
@@ -69,7 +69,7 @@ def test_a_photograph_is_turned_upright() -> None:
         ((1, 100), (slice(3, 4), slice(0, 8))),
     ],
 )
-def test_a_picture_is_as_large_as_fits_and_keeps_its_sides(
+def test_picture_is_as_large_as_fits_and_keeps_its_sides(
     given: tuple[int, int], inside: tuple[slice, slice]
 ) -> None:
     scene = as_scene(np.ones(given, np.float32), (8, 8))
@@ -103,12 +103,12 @@ def test_light_is_averaged_where_pixels_come_together() -> None:
         (encoded(Image.new("1", (8192, 8192))), f"has {2**26} pixels: use at most {MAX_PIXELS}"),
     ],
 )
-def test_what_is_no_picture_is_refused(content: bytes, message: str) -> None:
+def test_bytes_that_are_no_picture_are_refused(content: bytes, message: str) -> None:
     with pytest.raises(PictureError, match=message):
         as_scene(content, (2, 3))
 
 
-def test_a_file_may_be_any_of_these(tmp_path: Path) -> None:
+def test_file_may_be_any_of_these(tmp_path: Path) -> None:
     path = tmp_path / "card.png"
     path.write_bytes(encoded(Image.fromarray(WHITE)))
     scene = FileScene(path, (2, 6)).read()

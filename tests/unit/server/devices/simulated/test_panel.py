@@ -122,14 +122,14 @@ def test_pixels_fill_the_window_by_columns_then_rows_and_start_again(host: Host)
     assert host.lit() == {(column, row) for row in (20, 21, 22) for column in (10, 11)}
 
 
-def test_a_write_begins_at_the_window_s_first_pixel(host: Host) -> None:
+def test_write_begins_at_the_window_s_first_pixel(host: Host) -> None:
     host.window(0, 3, 0, 0)
     host.send(0x2C, 4, 4, 4, 8, 8, 8)
     host.send(0x2C, 12, 12, 12)
     assert [host.pixel(column, 0)[0] for column in range(3)] == [3, 2, 0]
 
 
-def test_a_pixel_survives_a_split_and_not_a_command(host: Host) -> None:
+def test_pixel_survives_a_split_and_not_a_command(host: Host) -> None:
     host.window(0, 1, 0, 0)
     host.send(0x2C, 4)
     host.panel.write(bytes([8]))
@@ -221,7 +221,7 @@ def test_formats(
     assert host.pixel(3 + len(expected), 4) == [0, 0, 0]
 
 
-def test_a_dead_panel_takes_nothing_and_is_transparent() -> None:
+def test_dead_panel_takes_nothing_and_is_transparent() -> None:
     host = Host(faults=PanelFaults(dead=True))
     host.panel.reset(False)
     host.wake()
@@ -258,7 +258,7 @@ def filled(crystal: Crystal) -> Host:
     return host
 
 
-def test_the_scan_reaches_every_line_once_and_in_its_order() -> None:
+def test_scan_reaches_every_line_once_and_in_its_order() -> None:
     host = filled(Crystal(scan=0.016, phase=100.995))
     # The refresh that began 5 ms ago has passed line 50; it and those before wait for the next.
     now = shown(host, 101.0001)
@@ -272,13 +272,13 @@ def test_the_scan_reaches_every_line_once_and_in_its_order() -> None:
     assert host.panel.settled(101.0161)
 
 
-def test_a_slow_scan_takes_longer() -> None:
+def test_slow_scan_takes_longer() -> None:
     host = filled(Crystal(scan=0.5, phase=100.9))
     assert not (shown(host, 101.2) == 63).all()
     assert (shown(host, 101.51) == 63).all()
 
 
-def test_the_crystal_turns_linearly_from_where_it_is() -> None:
+def test_crystal_turns_linearly_from_where_it_is() -> None:
     host = filled(Crystal(scan=0.0, settle=0.1))
     assert shown(host, 101.025)[0] == pytest.approx(63 / 4)
     assert (shown(host, 100.5) == 0).all()
@@ -324,7 +324,7 @@ def test_one_that_fell_asleep_is_transparent_until_a_reset(host: Host) -> None:
         (PanelFaults(shifted=True), {(0, 1), (1, 1), (0, 2), (1, 2)}),
     ],
 )
-def test_a_write_may_end_half_way_or_land_elsewhere(
+def test_write_may_end_half_way_or_land_elsewhere(
     faults: PanelFaults, lit: set[tuple[int, int]], host: Host
 ) -> None:
     host.panel.faults = faults

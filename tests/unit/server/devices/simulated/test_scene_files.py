@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_server.daemon import build_service
 from veilcam_server.devices import SensorError
 from veilcam_server.devices.simulated.scene_files import open_scenes
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -19,7 +18,7 @@ from veilcam_server.settings import Settings
 from veilcam_training.data.idx import idx_bytes
 
 if TYPE_CHECKING:
-    from veilcam_client.wire.captures import Capture
+    pass
 
 SHAPE = (28, 28)
 
@@ -70,7 +69,7 @@ def test_files_and_folders_in_their_order(tmp_path: Path, folder: Path) -> None:
     assert levels(tmp_path, one, folder) == [8, 1, 2, 3]
 
 
-def test_a_data_set_is_its_validation_part_unless_it_is_said(tmp_path: Path, mnist: Path) -> None:
+def test_data_set_is_its_validation_part_unless_it_is_said(tmp_path: Path, mnist: Path) -> None:
     validation = levels(tmp_path, f"mnist:{mnist}")
     assert len(validation) == 2
     assert max(validation) < 20
@@ -94,7 +93,7 @@ def test_colour_of_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert scene.read().sum() == pytest.approx(middle.sum())
 
 
-def test_what_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Path) -> None:
+def test_scene_that_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Path) -> None:
     (tmp_path / "empty").mkdir()
     (folder / "bad.png").write_text("no image")
     for name, reason in (
@@ -111,7 +110,7 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Pat
         open_scenes(settings(tmp_path, "/not/there.png"), SHAPE)
 
 
-def test_the_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VEILCAM_DEVICE", "simulated")
     for value, expected in (
         ("mnist:data/mnist", ("mnist:data/mnist",)),
@@ -122,34 +121,3 @@ def test_the_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -
     assert Settings().redacted()["scenes"] == "given"  # type: ignore[call-arg]
     monkeypatch.delenv("VEILCAM_SCENES")
     assert Settings().redacted()["scenes"] is None  # type: ignore[call-arg]
-
-
-@pytest.mark.slow
-@pytest.mark.anyio
-async def test_each_capture_sees_the_next_scene(
-    tmp_path: Path, bundle_file: Path, folder: Path
-) -> None:
-    """And the self test, which takes nine measurements, sees one."""
-    dark, light = folder / "a.npy", folder / "b.npy"
-    write(dark, 60)
-    write(light, 240)
-    still = {"settle": 0.0, "exposure": 0.0, "snr_db": float("inf"), "release": "raw"}
-    made = settings(tmp_path, dark, light, bundle=bundle_file, raw_budget=9, **still)
-    service = build_service(made)
-    async with service.open():
-        assert service.status().state == "ready"
-        answers: list[Capture] = [await service.capture()]
-        content = light.read_bytes()
-        light.unlink()
-        with pytest.raises(SensorError, match="there is no scene file"):
-            await service.capture()
-        light.write_bytes(content)
-        # The capture that failed passed no scene over.
-        answers += [await service.capture() for _ in range(2)]
-        # One of which only a label leaves passes a scene over, too.
-        await service.classify(include_embedding=False)
-        answers.append(await service.capture())
-    first, second, third, fourth = (float(np.asarray(answer).mean()) for answer in answers)
-    assert second / first == pytest.approx(4.0, rel=0.02)
-    assert third / first == pytest.approx(1.0, rel=0.02)
-    assert fourth / first == pytest.approx(1.0, rel=0.02)

@@ -22,7 +22,7 @@ def now(held: Scenes) -> tuple[int, float]:
     return held.seen, round(level, 6)
 
 
-def test_the_deck_turns_and_begins_again() -> None:
+def test_deck_turns_and_begins_again() -> None:
     deck, _ = scenes(0.1, 0.2, 0.3)
     seen = []
     for _ in range(4):
@@ -34,7 +34,7 @@ def test_the_deck_turns_and_begins_again() -> None:
     assert now(alone) == (0, 0.5)
 
 
-def test_what_is_held_up_covers_the_deck_which_rests() -> None:
+def test_scene_held_up_covers_the_deck_which_rests() -> None:
     deck, _ = scenes(0.1, 0.2)
     deck.advance()
     assert deck.hold(torch.ones(4, 6)) == 2
@@ -59,7 +59,7 @@ def test_each_instant_has_its_scene() -> None:
     assert deck.seen == 1
 
 
-def test_what_cannot_be_held_up_changes_nothing() -> None:
+def test_scene_that_cannot_be_held_up_changes_nothing() -> None:
     deck, _ = scenes(0.1)
     with pytest.raises(PictureError, match="has the shape"):
         deck.hold(np.ones(3))

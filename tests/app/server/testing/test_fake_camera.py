@@ -44,7 +44,7 @@ def fake(daemon: FakeCamera) -> FakeCamera:
 
 
 @pytest.mark.thorough
-def test_it_prints_nothing_and_logs_as_the_program_says(
+def test_fake_camera_prints_nothing_and_logs_as_the_program_says(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     with FakeCamera() as own, own.camera() as camera:
@@ -61,7 +61,7 @@ def test_it_prints_nothing_and_logs_as_the_program_says(
 
 
 @pytest.mark.numerical
-def test_it_sees_what_is_held_up_without_a_socket(
+def test_fake_camera_sees_the_scene_held_up_without_a_socket(
     fake: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object) -> None:
@@ -95,7 +95,7 @@ async def ask(fake: FakeCamera) -> tuple[str, list[str | None]]:
         return label, [event.epoch, *epochs]
 
 
-def test_it_is_there_for_asyncio_too(fake: FakeCamera) -> None:
+def test_fake_camera_is_there_for_asyncio_too(fake: FakeCamera) -> None:
     label, (heard, *epochs) = asyncio.run(ask(fake))
     assert label == str(load_digits().labels[0])
     assert heard in epochs
@@ -109,7 +109,7 @@ def test_events_come_while_they_happen(fake: FakeCamera) -> None:
         assert any(getattr(event, "epoch", None) == epoch for event in events)
 
 
-def test_a_stream_is_closed_from_another_thread(fake: FakeCamera) -> None:
+def test_stream_is_closed_from_another_thread(fake: FakeCamera) -> None:
     with fake.camera() as camera:
         stream = camera.events(last_event_id="")
         next(stream)
@@ -137,7 +137,7 @@ def test_two_callers_are_two(fake: FakeCamera) -> None:
         assert other.capture().id
 
 
-def test_nobody_waits_longer_than_they_want(fake: FakeCamera) -> None:
+def test_caller_waits_no_longer_than_it_wants(fake: FakeCamera) -> None:
     with fake.camera() as camera, pytest.raises(RequestTimeoutError):
         camera.capture(timeout=1e-6)
 
@@ -161,7 +161,7 @@ def test_tokens_are_wanted_where_they_are_asked_for(
     assert (tmp_path / "state").is_dir()
 
 
-def test_what_is_no_setting_is_refused() -> None:
+def test_unknown_setting_is_refused() -> None:
     with pytest.raises(ValueError, match="exposures"):
         FakeCamera({"exposures": 1})
 
@@ -191,6 +191,6 @@ def test_pytest_finds_the_fixture(pytester: pytest.Pytester) -> None:
     result.assert_outcomes(passed=2)
 
 
-def test_the_plugin_is_installed_with_the_package() -> None:
+def test_plugin_is_installed_with_the_package() -> None:
     project = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())["project"]
     assert project["entry-points"]["pytest11"] == {"veilcam": "veilcam_server.pytest_plugin"}

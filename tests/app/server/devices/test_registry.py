@@ -178,7 +178,7 @@ def settings(bundle_file: Path, tmp_path: Path) -> Settings:
 
 
 @pytest.mark.slow
-def test_a_raspberry_pi_serves(board: Board, settings: Settings) -> None:
+def test_raspberry_pi_serves(board: Board, settings: Settings) -> None:
     service = build_service(settings)
     try:
         status = service.status()
@@ -243,7 +243,7 @@ def test_wiring_is_what_the_settings_say(board: Board, settings: Settings, bundl
 
 
 @pytest.mark.slow
-def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None:
+def test_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None:
     board.panel.faults = PanelFaults(dead=True)
     # The stand-in for picamera2 is opened although nothing can be opaque here.
     with pytest.MonkeyPatch.context() as patch:
@@ -257,7 +257,7 @@ def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None
 
 
 @pytest.mark.parametrize(("read_back", "turned"), [("miso", False), ("sda", True)])
-def test_a_panel_is_asked_as_it_is_wired(
+def test_panel_is_asked_as_it_is_wired(
     board: Board, settings: Settings, bundle: Bundle, *, read_back: str, turned: bool
 ) -> None:
     device = open_device(settings.model_copy(update={"panel_read_back": read_back}), bundle)
@@ -273,7 +273,7 @@ def test_a_panel_is_asked_as_it_is_wired(
     device.display.close()
 
 
-def test_a_panel_is_not_asked_unless_it_is_said(
+def test_panel_is_not_asked_unless_it_is_said(
     board: Board, settings: Settings, bundle: Bundle
 ) -> None:
     device = open_device(settings, bundle)
@@ -284,7 +284,7 @@ def test_a_panel_is_not_asked_unless_it_is_said(
     device.display.close()
 
 
-def test_the_doctor_asks_the_panel_who_it_is(board: Board) -> None:
+def test_doctor_asks_the_panel_who_it_is(board: Board) -> None:
     wiring = Wiring(panel_read_back="miso")
     identify = DISPLAYS["ST7735R"].identify
     assert identify is not None
@@ -317,7 +317,7 @@ def test_wiring_that_cannot_be_says_what_to_do(
 
 
 @pytest.mark.slow
-def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
+def test_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
     board.asked["label"] = "another"
     service = build_service(settings)
     status = service.status()
@@ -335,7 +335,7 @@ def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Set
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
+def test_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
     camera = sys.modules["picamera2"].Picamera2
 
     def none(_: int) -> None:
@@ -354,7 +354,7 @@ def test_a_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Se
     service.stop()
 
 
-def test_a_camera_that_is_not_there_leaves_the_panel_opaque(
+def test_camera_that_is_not_there_leaves_the_panel_opaque(
     board: Board, settings: Settings, bundle: Bundle
 ) -> None:
     def none(_: int) -> None:
@@ -372,7 +372,7 @@ def test_a_camera_that_is_not_there_leaves_the_panel_opaque(
     assert not board.panel.framebuffer().any()
 
 
-def test_a_fast_bus_is_warned_of(board: Board, settings: Settings, bundle: Bundle) -> None:
+def test_fast_bus_is_warned_of(board: Board, settings: Settings, bundle: Bundle) -> None:
     with capture_logs() as logs:
         open_device(
             settings.model_copy(update={"spi_hz": 16_000_000, "allow_fast_spi": True}), bundle
@@ -380,7 +380,7 @@ def test_a_fast_bus_is_warned_of(board: Board, settings: Settings, bundle: Bundl
     assert [entry["event"] for entry in logs] == ["fast panel bus"]
 
 
-def test_a_bundle_for_another_panel_is_refused(board: Board, settings: Settings) -> None:
+def test_bundle_for_another_panel_is_refused(board: Board, settings: Settings) -> None:
     from dataclasses import replace
 
     from tests.unit.server.conftest import make_bundle

@@ -93,7 +93,7 @@ def png(level: int) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_what_is_held_up_is_what_captures_see(given: dict[str, Any]) -> None:
+async def test_scene_held_up_is_what_captures_see(given: dict[str, Any]) -> None:
     async with camera(given) as sdk:
         first = await sdk.capture()
         assert seen_in(first) == 0
@@ -114,7 +114,7 @@ async def test_what_is_held_up_is_what_captures_see(given: dict[str, Any]) -> No
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
+async def test_capture_under_way_sees_to_its_end_what_it_began_with(
     given: dict[str, Any],
 ) -> None:
     async with camera({**given, "exposure": EXPOSURE}) as sdk:
@@ -142,7 +142,7 @@ async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
         ),
     ],
 )
-async def test_what_is_no_picture_changes_nothing(
+async def test_scene_that_is_no_picture_changes_nothing(
     given: dict[str, Any], *, content: bytes, media_type: str, status: int, code: str, detail: str
 ) -> None:
     async with client(given) as http:
@@ -156,7 +156,7 @@ async def test_what_is_no_picture_changes_nothing(
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
+async def test_scene_api_has_to_be_allowed(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:
         for picture in (png(0), None):
             with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
@@ -166,7 +166,7 @@ async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_who_holds_the_camera_decides_what_it_sees(given: dict[str, Any]) -> None:
+async def test_lease_holder_decides_what_the_camera_sees(given: dict[str, Any]) -> None:
     async with camera(given) as sdk, client_of(sdk) as other, sdk.lease(seconds=30):
         with pytest.raises(LeasedError):
             await other.hold_scene(png(0))
@@ -181,7 +181,7 @@ async def client_of(sdk: AsyncCamera) -> AsyncIterator[AsyncCamera]:
         yield other
 
 
-def test_a_real_camera_takes_no_scenes() -> None:
+def test_real_camera_takes_no_scenes() -> None:
     from pydantic import ValidationError
 
     with pytest.raises(ValidationError, match="--scene-api is for a simulated camera"):
@@ -226,7 +226,7 @@ async def test_nothing_is_answered_behind_a_panel_that_does_not_hide(
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_a_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> None:
+async def test_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> None:
     async with camera({**given, "rotation": EveryCaptures(captures=1)}) as sdk:
         await sdk.capture()
         await sdk.set_faults(Faults(light=LightFaults(lamp=0)))
@@ -248,7 +248,7 @@ async def test_a_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> N
         (SensorFaults(stuck=True), "sensor_failed"),
     ],
 )
-async def test_a_sensor_that_fails_is_an_error_and_then_a_state(
+async def test_sensor_that_fails_is_an_error_and_then_a_state(
     given: dict[str, Any], faults: SensorFaults, code: str
 ) -> None:
     async with camera({**given, "capture_timeout": 0.05}) as sdk:

@@ -12,8 +12,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
 from tests.app.server.security.test_tls import write_pair
-from tests.unit.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
 
 from veilcam_server.gate import entrance
 from veilcam_server.gate.entrance import Entrance, WaitingRoom
@@ -56,7 +56,7 @@ def test_peers_take_turns() -> None:
     assert not waiting.room.drop()
 
 
-def test_who_has_fewest_connections_comes_first() -> None:
+def test_peer_with_fewest_connections_comes_first() -> None:
     waiting = Waiting(10)
     waiting.inside.update(a=3, b=1, c=3)
     for name in ("a1", "a2", "b1", "b2", "c1", "d1"):
@@ -65,7 +65,7 @@ def test_who_has_fewest_connections_comes_first() -> None:
     assert [waiting.take() for _ in range(3)] == ["a1", "c1", "a2"]
 
 
-def test_where_too_many_wait_the_peer_with_most_loses_its_oldest() -> None:
+def test_peer_with_most_loses_its_oldest_where_too_many_wait() -> None:
     waiting = Waiting(3)
     assert all(waiting.put(name) for name in ("b1", "a1", "a2"))
     assert not waiting.put("a3")
@@ -76,7 +76,7 @@ def test_where_too_many_wait_the_peer_with_most_loses_its_oldest() -> None:
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
-async def test_a_crowd_that_dribbles_shuts_nobody_out(
+async def test_crowd_that_dribbles_shuts_nobody_out(
     serving: Serving, knock: Knock, said: bytes
 ) -> None:
     async with serving(limit=8) as behind:
@@ -90,7 +90,7 @@ async def test_a_crowd_that_dribbles_shuts_nobody_out(
 
 
 @pytest.mark.anyio
-async def test_a_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) -> None:
+async def test_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) -> None:
     async with serving(limit=8) as behind:
         # Slow, but honest, and older than all others.
         slow = knock(behind, REQUEST[:-2], "127.0.0.2")
@@ -106,7 +106,7 @@ async def test_a_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) ->
 
 
 @pytest.mark.anyio
-async def test_where_all_is_work_a_new_one_is_refused(serving: Serving, knock: Knock) -> None:
+async def test_new_connection_is_refused_where_all_is_work(serving: Serving, knock: Knock) -> None:
     async with serving(limit=2) as behind:
         working = [knock(behind, SLOW) for _ in range(2)]
         await behind.until(lambda: len(behind.asked) == 2)
@@ -155,7 +155,7 @@ async def asks_over_tls(address: tuple[str, int]) -> bool:
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"", b"\x16\x03\x01\x02\x00", REQUEST])
-async def test_a_crowd_without_tls_shuts_nobody_out(
+async def test_crowd_without_tls_shuts_nobody_out(
     serving: Serving, knock: Knock, tls: ssl.SSLContext, said: bytes
 ) -> None:
     async with serving(limit=8, tls=tls) as behind:
@@ -167,7 +167,7 @@ async def test_a_crowd_without_tls_shuts_nobody_out(
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_who_was_sent_away_takes_no_memory(
+async def test_peers_sent_away_take_no_memory(
     serving: Serving, knock: Knock, tls: ssl.SSLContext
 ) -> None:
     """Not even until the garbage collector comes: it does not know how much 300 kB are."""
@@ -186,7 +186,7 @@ async def test_who_was_sent_away_takes_no_memory(
 
 
 @pytest.mark.anyio
-async def test_a_handshake_that_takes_too_long(
+async def test_handshake_that_takes_too_long(
     serving: Serving, knock: Knock, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving(tls=tls, deadlines=Deadlines(headers=0.2, body=600.0)) as behind:
@@ -210,7 +210,7 @@ class Broken(socket.socket):
 
 
 @pytest.mark.anyio
-async def test_what_cannot_be_accepted_is_tried_again_after_a_pause(
+async def test_accept_that_fails_is_tried_again_after_a_pause(
     serving: Serving,
     knock: Knock,
     monkeypatch: pytest.MonkeyPatch,
@@ -247,7 +247,9 @@ async def test_what_cannot_be_accepted_is_tried_again_after_a_pause(
 
 
 @pytest.mark.anyio
-async def test_who_waits_when_it_closes_is_sent_away(serving: Serving, knock: Knock) -> None:
+async def test_waiting_connection_is_sent_away_when_the_gate_closes(
+    serving: Serving, knock: Knock
+) -> None:
     async with serving() as behind:
         idle = knock(behind, REQUEST)
         assert await is_served(idle)

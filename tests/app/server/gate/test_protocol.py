@@ -6,7 +6,7 @@ import asyncio
 import socket
 
 import pytest
-from tests.unit.server.gate.conftest import (
+from tests.app.server.gate.conftest import (
     POST,
     REQUEST,
     SLOW,
@@ -55,7 +55,7 @@ async def test_headers_of_a_second_request_have_their_own_time(
         assert len(behind.asked) == 2
 
 
-async def test_a_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) -> None:
+async def test_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         one = knock(behind, POST % 1000)
         await behind.until(lambda: len(behind.connections))
@@ -63,7 +63,7 @@ async def test_a_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) ->
         assert not behind.asked
 
 
-async def test_a_long_body_that_moves_on_may_take_long(serving: Serving, knock: Knock) -> None:
+async def test_long_body_that_moves_on_may_take_long(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         loop, size = asyncio.get_running_loop(), 20 * PORTION
         one = knock(behind, POST % size)
@@ -76,7 +76,7 @@ async def test_a_long_body_that_moves_on_may_take_long(serving: Serving, knock: 
         assert not behind.connections.dropped
 
 
-async def test_a_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -> None:
+async def test_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         one = knock(behind, POST % (20 * PORTION) + b"a" * 2 * PORTION)
         await behind.until(lambda: behind.asked)
@@ -84,7 +84,7 @@ async def test_a_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -
         assert 2 * PORTION <= behind.bodies[0] < 3 * PORTION
 
 
-async def test_nobody_is_ended_for_what_the_application_does_not_read(
+async def test_body_that_the_application_does_not_read_ends_nobody(
     serving: Serving, knock: Knock
 ) -> None:
     async with serving(deadlines=HUNGRY) as behind:
@@ -100,7 +100,7 @@ async def test_nobody_is_ended_for_what_the_application_does_not_read(
         assert await is_served(one)
 
 
-async def test_the_rest_of_a_body_that_is_answered_already(serving: Serving, knock: Knock) -> None:
+async def test_rest_of_a_body_that_is_answered_already(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         size = 20 * PORTION
         one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
@@ -108,9 +108,7 @@ async def test_the_rest_of_a_body_that_is_answered_already(serving: Serving, kno
         assert await _dribbles_in_vain(behind, one) == "body"
 
 
-async def test_a_connection_goes_on_after_the_rest_of_a_body(
-    serving: Serving, knock: Knock
-) -> None:
+async def test_connection_goes_on_after_the_rest_of_a_body(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         size = 2 * PORTION
         one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
@@ -120,9 +118,7 @@ async def test_a_connection_goes_on_after_the_rest_of_a_body(
         assert behind.asked == ["/deaf", "/"]
 
 
-async def test_what_is_worked_on_may_take_longer_than_all_deadlines(
-    serving: Serving, knock: Knock
-) -> None:
+async def test_work_may_take_longer_than_all_deadlines(serving: Serving, knock: Knock) -> None:
     async with serving(limit=2, deadlines=Deadlines(ENDING, ENDING)) as behind:
         one = knock(behind, SLOW)
         await behind.until(lambda: behind.asked)
@@ -134,7 +130,7 @@ async def test_what_is_worked_on_may_take_longer_than_all_deadlines(
         assert await is_served(one)
 
 
-async def test_an_answer_that_nobody_reads(
+async def test_answer_that_nobody_reads(
     serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(protocol, "READING_TIME", 0.2)
@@ -144,7 +140,7 @@ async def test_an_answer_that_nobody_reads(
         assert not len(behind.connections)
 
 
-async def test_what_is_no_http_is_answered_and_not_logged(
+async def test_bytes_that_are_no_http_are_answered_and_not_logged(
     serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving() as behind:
@@ -169,7 +165,7 @@ FRAMED_TWICE = (
 
 @pytest.mark.parametrize("body", [b"", b"0\r\n\r\n", b"0\r\n\r\n" + REQUEST])
 @pytest.mark.parametrize("head", FRAMED_TWICE)
-async def test_a_body_with_two_lengths_is_refused_and_its_connection_closed(
+async def test_body_with_two_lengths_is_refused_and_its_connection_closed(
     serving: Serving, knock: Knock, head: bytes, body: bytes
 ) -> None:
     async with serving() as behind:
@@ -190,7 +186,7 @@ UPLOADS = (
 
 
 @pytest.mark.parametrize("header", UPLOADS)
-async def test_an_upload_can_be_refused_after_its_headers(
+async def test_upload_can_be_refused_after_its_headers(
     serving: Serving, knock: Knock, header: bytes
 ) -> None:
     async with serving() as behind:
@@ -202,7 +198,7 @@ async def test_an_upload_can_be_refused_after_its_headers(
         assert (b"connection: close" in answer.lower()) is (b"Expect" in header)
 
 
-async def test_a_body_that_is_waited_for_is_asked_for(serving: Serving, knock: Knock) -> None:
+async def test_body_that_is_waited_for_is_asked_for(serving: Serving, knock: Knock) -> None:
     async with serving() as behind:
         loop = asyncio.get_running_loop()
         one = knock(behind, (POST % 5).replace(b"Host: a", b"Host: a\r\nExpect: 100-continue"))
@@ -214,7 +210,7 @@ async def test_a_body_that_is_waited_for_is_asked_for(serving: Serving, knock: K
         assert behind.bodies == [5]
 
 
-async def test_a_body_that_breaks_off_leaves_no_trace(
+async def test_body_that_breaks_off_leaves_no_trace(
     serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving() as behind:

@@ -111,7 +111,7 @@ def today(path: Path) -> str:
 
 
 @pytest.mark.anyio
-async def test_the_array_alone_says_so_too(path: Path) -> None:
+async def test_array_alone_says_so_too(path: Path) -> None:
     async with replaying(path) as http:
         await http.post("/v1/captures")
         taken = await http.post("/v1/captures", headers={"Accept": "application/x-npy"})
@@ -121,7 +121,7 @@ async def test_the_array_alone_says_so_too(path: Path) -> None:
 
 
 @pytest.mark.anyio
-async def test_the_status_never_says_ready(path: Path) -> None:
+async def test_status_never_says_ready(path: Path) -> None:
     async with camera(path) as sdk:
         status = await sdk.status()
         assert status.state == "replay"
@@ -211,7 +211,7 @@ async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> No
 
 
 @pytest.mark.anyio
-async def test_what_was_sealed_comes_sealed_and_its_receiver_opens_it(tmp_path: Path) -> None:
+async def test_sealed_recording_comes_sealed_and_its_receiver_opens_it(tmp_path: Path) -> None:
     key, path = ReceiverKey.generate(), tmp_path / "sealed.jsonl"
     epoch = SealedEpoch(SealingDevice(), key)
     daemon = Daemon(answers=lambda number: json.loads(epoch.capture(number).model_dump_json()))
@@ -259,7 +259,7 @@ async def test_recording_a_replay_is_refused_by_what_is_read(path: Path, tmp_pat
         service_of(again)
 
 
-def test_what_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
+def test_recording_that_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
     with pytest.raises(StartError, match="cannot be read"):
         service_of(path.with_name("missing"))
     service = service_of(path)
@@ -283,13 +283,13 @@ def test_what_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
         ({"settle": 0.1}, "--settle"),
     ],
 )
-def test_a_recording_is_played_as_it_is(given: dict[str, Any], option: str) -> None:
+def test_recording_is_played_as_it_is(given: dict[str, Any], option: str) -> None:
     with pytest.raises(ValidationError) as caught:
         Settings.model_validate({"replay": "recording.jsonl", **given})
     assert f"leave out {option}" in one_line(caught.value)
 
 
-def test_a_recording_wants_tokens_and_may_be_limited() -> None:
+def test_recording_wants_tokens_and_may_be_limited() -> None:
     made = Settings.model_validate({"replay": "recording.jsonl", "port": 0, "rate_limit": 3.0})
     assert made.auth == "tokens"
     assert made.redacted()["replay"] == "given"
