@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.docs.conftest import Lead
-from tests.training.conftest import write_digits
+from tests.unit.training.conftest import write_digits
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_optics.decoding import write_frame
