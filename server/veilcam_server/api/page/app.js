@@ -102,10 +102,10 @@ function take(event) {
 async function follow() {
   let last = null;
   for (let failures = 0; ; failures += 1) {
+    const begun = performance.now();
     try {
       const heard = events(last, async () => {
         await refresh();
-        failures = 0;
         warn("");
         main.removeAttribute("aria-busy");
       });
@@ -122,6 +122,7 @@ async function follow() {
       if (error instanceof Problem && error.status < 500) warn(error.message);
       else warn("The daemon does not answer. This page goes on as soon as it does.");
     }
+    if (performance.now() - begun > 5000) failures = 0;
     await new Promise((resolve) => setTimeout(resolve, Math.min(5000, 250 * 2 ** failures)));
   }
 }
