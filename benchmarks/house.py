@@ -1,12 +1,15 @@
-"""What the checks cost: wall time, and user time of all processes, of ``make``'s targets.
+"""Size of the repository, cost of its checks, and mutants that live since its tests were cut.
 
-    python -m benchmarks.house --figures benchmarks/results/house.json
+    python -m benchmarks.house size check test ci --figures benchmarks/results/house.json
+    python -m benchmarks.house --mutants before.json after.json
 
-Run it on two quiet cores, and once before, so that mypy's cache is warm.
+Run it on two quiet cores, and once before, so that mypy's cache is warm. The files of mutants are
+those of ``python -m tests.mutants``, of one list and two trees.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import subprocess
@@ -15,34 +18,65 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from tests.house.test_budget import BUDGET, count, words
 
 from benchmarks.figures import FiguresOption, record
 
 ROOT = Path(__file__).resolve().parents[1]
-TARGETS = ("lint", "types", "layers", "check", "test")
 
 
-def cost(command: list[str]) -> tuple[float, float]:
-    """Wall time, and user time of the command and all that it starts [s]; it has to succeed."""
+def cost(command: list[str]) -> tuple[float, float, str]:
+    """Return wall time and user time of a command and all that it starts [s], and what it printed.
+
+    Raises:
+        CalledProcessError: the command failed.
+    """
     used, begun = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, time.perf_counter()
-    subprocess.run(command, check=True)
+    told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     took = time.perf_counter() - begun
-    return took, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used
+    return took, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used, told
+
+
+def living_anew(before: Path, after: Path) -> list[str]:
+    """Return the mutants that the tests killed before and do not kill afterwards."""
+    found = []
+    for old, new in zip(*(json.loads(path.read_text()) for path in (before, after)), strict=True):
+        assert old["before"] == new["before"], "the files hold different mutants"
+        if old.get("outcome") == "killed" and new.get("outcome") not in ("killed", "gone"):
+            found.append(f"{old['file']}:{old['line']} {old['before']}: {new.get('outcome')}")
+    return found
 
 
 def main(
-    targets: Annotated[list[str] | None, typer.Argument(help="Of make; those that check.")] = None,
+    targets: Annotated[
+        list[str] | None, typer.Argument(help="size, ci (.ci/run), or targets of make.")
+    ] = None,
+    mutants: Annotated[
+        tuple[Path, Path] | None, typer.Option(help="Mutants before and after.")
+    ] = None,
     figures: FiguresOption = None,
 ) -> None:
-    """Make one target after the other, and say what each took."""
+    """Measure one target after the other."""
     values: dict[str, float] = {}
-    for target in targets or TARGETS:
-        wall, used = cost(["make", f"--directory={ROOT}", target])
-        values[f"make_{target}_wall_s"] = round(wall, 1)
-        values[f"make_{target}_user_cpu_s"] = round(used, 1)
+    for target in targets or ():
+        if target == "size":
+            values |= {f"lines_{part}": count(part) for part in ("product", "tests", "benchmarks")}
+            values["words_docs"] = sum(words(patterns) for patterns in BUDGET["words"])
+        elif target == "ci":
+            wall, _, told = cost([str(ROOT / ".ci" / "run")])
+            values["ci_minutes"] = round(wall / 60, 1)
+            values["pythons_in_ci"] = 1 + ("there is no Python" not in told)
+        else:
+            wall, used, _ = cost(["make", f"--directory={ROOT}", target])
+            values[f"make_{target}_wall_s"] = round(wall, 1)
+            values[f"make_{target}_user_cpu_s"] = round(used, 1)
+    if mutants:
+        found = living_anew(*mutants)
+        values["mutants_that_live_anew"] = len(found)
+        print(*found, sep="\n")
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
     for name, value in values.items():
-        print(f"{name}: {value:.1f}")
+        print(f"{name}: {value:g}")
     print(f"load {load}")
     record(figures, values)
 
