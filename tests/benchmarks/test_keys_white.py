@@ -35,8 +35,6 @@ def stock(classes: int) -> Stock:
 
 
 class Watched(Camera):
-    """Remembers what it was shown."""
-
     shown: list[list[Scene]]
 
     def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:

@@ -45,8 +45,6 @@ Run = Callable[..., Result]
 
 @pytest.fixture
 def run(digit_folder: Path, tmp_path: Path) -> Run:
-    """Table ``mnist`` with more options."""
-
     def invoke(*options: object) -> Result:
         command = ["mnist", "--data", digit_folder, "--work", tmp_path / "work", *options]
         return CliRunner().invoke(paper.app, [str(word) for word in command])

@@ -49,8 +49,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @dataclass
 class Run:
-    """Runs an example with arguments, and returns the lines that it prints."""
-
     monkeypatch: pytest.MonkeyPatch
     capsys: pytest.CaptureFixture[str]
 
@@ -67,7 +65,6 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def ask(run: Run, served: Served, lead_to: Lead) -> Run:
-    """Run examples that ask the camera."""
     lead_to(served.fake)
     return run
 

@@ -78,7 +78,6 @@ def machine(tmp_path: Path) -> Machine:
 
 @pytest.fixture
 def index(tmp_path: Path) -> Iterator[str]:
-    """A package index on the loopback that has torch."""
     (tmp_path / "index" / "torch").mkdir(parents=True)
     handler = partial(Quiet, directory=str(tmp_path / "index"))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
@@ -90,14 +89,11 @@ def index(tmp_path: Path) -> Iterator[str]:
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder without a log."""
-
     def log_message(self, *arguments: object) -> None:
         """Drop it."""
 
 
 def marked(script: str) -> str:
-    """The script, told apart from others by a comment."""
     return script + "# taken\n"
 
 

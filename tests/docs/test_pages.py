@@ -60,7 +60,6 @@ def commands(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def resolved(name: str, words: list[str]) -> tuple[Command, list[str]]:
-    """The command that the words name, and what they say after it."""
     command = program(name)
     while isinstance(command, TyperGroup) and words:
         assert words[0] in command.commands, f"{name} has no command {words[0]}"

@@ -48,7 +48,6 @@ nothing takes the daemon's while it is down."""
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
     while True:
         with socket.socket() as probe, suppress(OSError):
             probe.bind(("127.0.0.1", port := random.choice(PORTS)))
@@ -131,7 +130,6 @@ def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
 
 
 def log_in(page: Page, token: str) -> None:
-    """Give a token as a person does."""
     page.get_by_label("Token").fill(token)
     page.get_by_role("button", name="Log in").click()
 

@@ -30,7 +30,6 @@ Record = Callable[[str, object], None]
 
 
 def violations(page: Page) -> list[str]:
-    """What axe-core finds, in words."""
     # Without the places of what is well, which take most of the time on a long page.
     found = page.evaluate("async () => (await axe.run({ resultTypes: ['violations'] })).violations")
     return [

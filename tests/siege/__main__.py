@@ -70,8 +70,6 @@ OF_KEYS = "epochs_repeated"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Judgement of one row, after so many seconds."""
-
     row: str
     judgement: Judgement
     seconds: float

@@ -105,7 +105,6 @@ class Findings:
     made: set[str] = field(default_factory=set)
 
     def leaks(self, planted: Planted) -> list[str]:
-        """Return the places of secrets."""
         found = []
         for content, place in self.left.items():
             found += [f"{place}: {name}" for name in planted.found_in(content)]
@@ -169,7 +168,6 @@ class Fuzz:
             self.send(name, "POST", f"{path}/{{digest}}/activate", url=url)
 
     def send(self, name: str, verb: str, path: str | None, **request: Any) -> None:
-        """Send one request as a caller; ``path`` is that of the document, None for no operation."""
         headers = requests.structures.CaseInsensitiveDict(request.pop("headers", None) or {})
         headers.pop("Authorization", None)
         if self._callers[name] is not None:
@@ -236,7 +234,6 @@ def _beginning(answer: requests.Response) -> bytes:
 
 @cache
 def _all_cases(document: str, examples: int) -> dict[tuple[str, str], list[schemathesis.Case[Any]]]:
-    """Return requests for every operation of a document, by method and path."""
     content = json.loads(document)
     schema = schemathesis.openapi.from_dict(content)
     operations = [each.ok() for each in schema.get_all_operations() if isinstance(each, Ok)]
@@ -269,7 +266,6 @@ def _cases(operation: Any, examples: int) -> list[schemathesis.Case[Any]]:
 
 
 def make_callers(store: TokenStore, scopes: Sequence[Scope]) -> dict[str, str | None]:
-    """Return tokens of callers with each of ``scopes``, with all, and with none."""
     names = {**{f"only {scope}": (scope,) for scope in scopes}, "everything": SCOPES}
     made = {name: store.create(name, scopes, None).secret for name, scopes in names.items()}
     revoked = store.create("revoked", SCOPES, None)

@@ -49,17 +49,14 @@ class Address:
     token: str | None = field(default=None, repr=False)
 
     def with_token(self, token: str | None) -> Address:
-        """Return the same daemon for another caller."""
         return replace(self, token=token)
 
     @property
     def headers(self) -> dict[str, str]:
-        """Headers of every request."""
         told = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
         return {"Connection": "close", **told}
 
     def context(self) -> ssl.SSLContext:
-        """Return a TLS context that trusts the certificate."""
         return _context(self.certificate)
 
     async def ask(
@@ -94,11 +91,9 @@ class Address:
         return Reply(question, seconds=time.monotonic() - began)
 
     async def get(self, name: str) -> Any:
-        """Return the JSON of ``/v1/NAME``."""
         return (await self.ask("GET", f"/v1/{name}")).json()
 
     async def upload(self, bundle: bytes, patience: float = PATIENCE) -> Reply:
-        """Install a bundle within ``patience`` [s]."""
         kind = {"Content-Type": BUNDLE_MEDIA_TYPE}
         return await self.ask("POST", "/v1/bundles", bundle, kind, patience=patience)
 
@@ -135,7 +130,6 @@ class EventStream:
     ended: bool = False
 
     async def until(self, kind: str, count: int, patience: float = PATIENCE) -> bool:
-        """Return whether so many events of a kind come within ``patience`` [s]."""
         with suppress(TimeoutError):
             async with asyncio.timeout(patience):
                 while self.kinds[kind] < count and not self.ended:
@@ -143,7 +137,6 @@ class EventStream:
         return self.kinds[kind] >= count
 
     async def read(self, address: Address, answered: asyncio.Event) -> None:
-        """Follow the stream to its end."""
         try:
             async with (
                 _client(address, NEIGHBOUR) as client,

@@ -92,12 +92,10 @@ class Daemon:
     process: BaseProcess = field(repr=False)
 
     def kill(self) -> None:
-        """End it at once (SIGKILL)."""
         self.process.kill()
         self.process.join()
 
     def resident(self) -> float:
-        """Return its resident memory [MB]."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(status.partition("VmRSS:")[2].split()[0]) / 1000
 
@@ -139,7 +137,6 @@ def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[D
 def _live(
     tell: Connection, serve: str, settings: Settings, around: Circumstances, log: Path
 ) -> None:
-    """Run a daemon in its circumstances, to its end."""
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, hard))
     try:

@@ -43,7 +43,6 @@ class Loot:
     spent: int = 0
 
     def take(self, reply: Reply) -> None:
-        """Keep the embedding of an answer, if there is one, with a label or without."""
         self.spent += reply.status == 409 and reply.json().get("code") == "masks_spent"
         if reply.status == 200:
             taken = Capture.model_validate_json(reply.body)
@@ -60,7 +59,6 @@ class Loot:
 
     @property
     def most(self) -> int:
-        """Most embeddings behind one mask."""
         return max((*self.masks.values(), *self.epochs.values()), default=0)
 
 
@@ -88,7 +86,6 @@ async def greedy(ground: Ground, judgement: Judgement) -> None:
 async def _race(
     ground: Ground, settings: Settings, budget: int, others: Sequence[bytes], lives: int
 ) -> Loot:
-    """Race in one life after the other, until nothing more leaves, or too much did."""
     [token], loot = make_tokens(settings, ("greedy",)), Loot()
     for life in range(lives):
         with ground.start(settings, token) as daemon:
@@ -118,8 +115,6 @@ async def _spent(address: Address, digests: Sequence[str], loot: Loot) -> bool:
 def _works(
     address: Address, digests: Sequence[str], loot: Loot
 ) -> list[Callable[[], Awaitable[None]]]:
-    """Return what all callers do at once."""
-
     async def capture() -> None:
         loot.take(await address.ask("POST", "/v1/captures"))
 

@@ -46,7 +46,6 @@ class PageRequest:
 
 
 def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
-    """Return twenty requests, as Chromium sends them."""
     place = urlsplit(address.url)
     other_port = {"Origin": f"http://{place.hostname}:{(place.port or 0) + 1}"}
     rebound = {"Host": "evil.example", "Origin": "http://evil.example"}
@@ -108,7 +107,6 @@ async def _acts(address: Address, request: PageRequest, headers: Headers) -> boo
 
 
 async def _standing(address: Address) -> list[object]:
-    """Return all that a request could change."""
     told = await address.get("status")
     rotation = told["rotation"]
     others = [await address.get(name) for name in ("bundles", "lease", "calibration", "receivers")]

@@ -85,15 +85,12 @@ class CornerLight:
     """Light of a white scene that carries the mask's first corner, one level to each box."""
 
     def read(self) -> npt.NDArray[np.float32]:
-        """Return the scene."""
         return np.ones((2, 2), np.float32)
 
     def response(self, weights: torch.Tensor) -> Response:
-        """Return the corner."""
         return (weights[: EMBEDDING.rows, : EMBEDDING.columns].double(),)
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the corner on raw pixels."""
         down, across = MODE.rows // EMBEDDING.rows, MODE.columns // EMBEDDING.columns
         boxes = response[0].repeat_interleave(down, 0).repeat_interleave(across, 1)
         return boxes.expand(len(scenes), -1, -1)
@@ -109,7 +106,6 @@ class Bus(PanelEmulator):
     breaks = 0
 
     def write(self, buffer: memoryview | bytes) -> None:
-        """Send all, or half of it."""
         broken = self.breaks > 0 and len(buffer) > 1000
         super().write(bytes(buffer[: len(buffer) // 2]) if broken else buffer)
         if broken:
@@ -170,7 +166,6 @@ class Rig:
         )
 
     def break_something(self) -> None:
-        """Let the next thing of a random kind fail."""
         breaks = random.choice((1, 1, 2, 3))
         faults = (
             *((self.bus, "breaks", breaks), (self.frames, "hangs", 1), (self.frames, "stale", 2)),
@@ -183,7 +178,6 @@ class Rig:
         self.frames.stuck, self.frames.gain = False, 1.0
 
     def stop(self) -> None:
-        """Stop the engine, with nothing broken."""
         self.mend()
         self.bus.breaks = self.frames.hangs = 0
         self.camera.stop()
@@ -224,7 +218,6 @@ class Outcome:
         return sum(len(items) - len(set(items)) for items in (self.epochs, self.masks))
 
     def attempt(self, rig: Rig, opener: Opener) -> None:
-        """Take one capture and judge it."""
         try:
             captured = rig.camera.capture(release=True)
         except KNOWN:

@@ -43,7 +43,6 @@ class Service:
 
     @property
     def requests(self) -> int:
-        """Number of all replies."""
         return len(self.neighbour) + len(self.beside) + len(self.captures)
 
 
@@ -129,7 +128,6 @@ async def dribbling(
 
 
 def _attacked(plan: Attack) -> Losses:
-    """Run an attack in a process of its own, to its end."""
     with child(attack, plan) as (_, hear):
         losses: Losses = hear.recv()
         return losses

@@ -74,7 +74,6 @@ def _json(**fields: object) -> bytes:
 
 @cache
 def _bundle() -> bytes:
-    """One that the daemon has not got."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "other.veilcam"
         write_bundle(path, dataclasses.replace(read_bundle(BUNDLE), task="other"))
@@ -88,7 +87,6 @@ def _picture() -> bytes:
 
 
 def asks() -> Mapping[str, Ask]:
-    """All of them, by name."""
     receiver = str(ReceiverKey.generate().public)
     made = (
         Ask("fetch", "GET", "/v1/status"),

@@ -31,7 +31,6 @@ STATE = ("rotation", "bundles", "lease", "calibration", "receivers")
 
 
 def browser() -> str | None:
-    """Where Chromium is, None where there is none."""
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
@@ -66,7 +65,6 @@ class Watched:
         return found
 
     def audit(self, name: str) -> list[dict[str, Any]]:
-        """Lines of one of the two logs."""
         path = self.state_dir / name
         lines = path.read_text().splitlines() if path.exists() else []
         return [json.loads(line) for line in lines]
@@ -92,7 +90,6 @@ class Result:
 
     @property
     def acted(self) -> list[str]:
-        """Requests that did something, or told the page something."""
         told = [name for name, learned in self.learned.items() if learned is not None]
         return sorted({*told, *self.changed})
 

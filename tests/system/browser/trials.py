@@ -66,7 +66,6 @@ def daemon(folder: Path, auth: str) -> Iterator[Watched]:
 def try_page(
     program: str, folder: Path, trial: Trial, asks: Mapping[str, Ask], at: Watched
 ) -> Result:
-    """Let the page of ``trial`` ask the daemon ``at``."""
     port = httpx.URL(at.url).port
     target = None if trial.daemon is None else f"http://{trial.daemon}:{port}"
     return show(program, folder, asks, at, host=trial.host, target=target)

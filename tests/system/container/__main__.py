@@ -42,17 +42,13 @@ console = Console(highlight=False)
 
 
 class Buildah:
-    """The program, with images of its own in a folder."""
-
     def __init__(self, folder: Path) -> None:
         self._store = ("--root", str(folder / "images"), "--runroot", str(folder / "run"))
 
     def command(self, name: str, *arguments: str) -> list[str]:
-        """Return the whole command line."""
         return ["buildah", "--storage-driver", "vfs", *self._store, name, *arguments]
 
     def __call__(self, name: str, *arguments: str) -> str:
-        """Run it; return its last line."""
         command = self.command(name, *arguments)
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
         return (done.stdout.strip().splitlines() or [""])[-1]
@@ -104,7 +100,6 @@ def running(buildah: Buildah, container: str) -> Iterator[str]:
 
 
 def accuracy(url: str) -> float:
-    """Hold digits up, and return the share of right labels."""
     digits = load_digits()
     right = 0
     with Camera(url) as camera:

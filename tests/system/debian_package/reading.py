@@ -30,7 +30,6 @@ Labels = npt.NDArray[np.uint8]
 
 
 def key(number: int, bundle: Bundle) -> EpochKey:
-    """Return a key that comes again in every run."""
     return EpochKey(number.to_bytes(32, "big"), device="d7" * 32, bundle=bundle.digest)
 
 

@@ -96,7 +96,6 @@ class Root:
         return done.stdout
 
     def install(self, package: Path) -> None:
-        """Install a package from its file, as the documentation says."""
         there = self.path / "srv" / package.name
         shutil.copyfile(package, there)
         self.run("apt-get", "install", "--yes", "--quiet", "--reinstall",
@@ -104,7 +103,6 @@ class Root:
         there.unlink()
 
     def identity(self, user: str) -> tuple[int, int]:
-        """Return the numbers of a user and its group."""
         for line in (self.path / "etc/passwd").read_text().splitlines():
             name, _, number, group, *_ = line.split(":")
             if name == user:

@@ -74,7 +74,6 @@ class Supervisor:
 
     @property
     def url(self) -> str:
-        """Where the daemon answers, for this machine."""
         return f"unix://{self._root.path / SOCKET}"
 
     def restart(self) -> None:
@@ -104,7 +103,6 @@ class Supervisor:
         return ended.ru_utime + ended.ru_stime + running + self._paused
 
     def log(self) -> str:
-        """Return what the program printed."""
         return (self._root.path / "run/veilcamd.log").read_text(errors="replace")
 
     def _keep(self) -> None:

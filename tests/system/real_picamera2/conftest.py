@@ -33,7 +33,6 @@ class Rig:
 
 
 def fake_rig(stack: ExitStack) -> Rig:
-    """Return one of the fake camera, in real time."""
     mode, faults = SensorMode(96, 96, line_time=0.0, frame_duration=0.002), CameraFaults()
 
     def open_camera() -> FakePicamera2:
@@ -46,7 +45,6 @@ def fake_rig(stack: ExitStack) -> Rig:
 
 
 def real_rig(stack: ExitStack) -> Rig:
-    """Return one of the real picamera2."""
     from .virtual_picamera2 import BUFFERS, MODE, RawPicamera2, instead_of
 
     stack.enter_context(instead_of(RawPicamera2))
@@ -65,7 +63,6 @@ def real_rig(stack: ExitStack) -> Rig:
 
 @pytest.fixture(params=[fake_rig, real_rig] if REAL else [fake_rig], ids=lambda rig: rig.__name__)
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    """A rig of either kind; what was opened is closed in the end."""
     with ExitStack() as stack:
         yield request.param(stack)
 

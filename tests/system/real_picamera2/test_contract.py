@@ -214,8 +214,6 @@ def test_one_that_was_closed_while_it_hung_can_be_opened_again(camera: Any, rig:
 
 
 class Opened:
-    """The driver, and the cameras that it opened."""
-
     def __init__(self, rig: Rig) -> None:
         self.cameras: list[Any] = []
 

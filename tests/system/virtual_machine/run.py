@@ -51,8 +51,6 @@ console = Console(highlight=False)
 
 @dataclass(frozen=True)
 class Result:
-    """Of one check."""
-
     name: str
     passed: bool
     detail: str
@@ -131,14 +129,12 @@ def boot(machine: Machine, build: Path) -> Iterator[str]:
 
 
 def results(build: Path) -> list[Result]:
-    """Return what the checks of the last boot found."""
     file = build / "results"
     lines = file.read_text(errors="replace").splitlines() if file.exists() else []
     return [Result(**json.loads(line)) for line in lines if line.startswith("{")]
 
 
 def table(architecture: Architecture, found: list[Result]) -> Table:
-    """Return the results for a terminal."""
     made = Table(
         title=f"veilcamd under systemd, in a virtual machine ({architecture.value})",
         title_justify="left",

@@ -31,7 +31,6 @@ PATIENCE = 900.0
 
 
 def run(*command: str, check: bool = True) -> str:
-    """Return what a command prints."""
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if check and done.returncode != 0:
         raise AssertionError(f"{' '.join(command)}: {done.stderr.strip() or done.stdout.strip()}")
@@ -39,17 +38,14 @@ def run(*command: str, check: bool = True) -> str:
 
 
 def unit(name: str) -> str:
-    """Return a property of the daemon's unit."""
     return run("systemctl", "show", "--value", "-p", name, "veilcamd.service")
 
 
 def journal() -> str:
-    """Return what the daemon has logged."""
     return run("journalctl", "-u", "veilcamd.service", "-o", "cat", "--no-pager")
 
 
 def wait_until(reached: Callable[[], bool], what: str, seconds: float = PATIENCE) -> float:
-    """Wait for something and return how long it took [s]."""
     begin = time.monotonic()
     while not reached():
         if time.monotonic() - begin > seconds:
@@ -59,8 +55,6 @@ def wait_until(reached: Callable[[], bool], what: str, seconds: float = PATIENCE
 
 
 class Checks:
-    """The checks, in the order in which they are made."""
-
     def __init__(self, report: Callable[[str, bool, str], None]) -> None:
         self._report = report
         self._token = ""
@@ -68,7 +62,6 @@ class Checks:
         self._bus_after_stop: list[panel.Byte] = []
 
     def run(self) -> None:
-        """Make them all; one that fails does not keep the next from being made."""
         for check in (
             self.ready_at_boot,
             self.answers_on_both_sockets,
@@ -107,7 +100,6 @@ class Checks:
         return f"{version}; {took / 1e6:.0f} s to start"
 
     def answers_on_both_sockets(self) -> str:
-        """Sockets of systemd."""
         self._token = run(
             *("runuser", "-u", "veilcam", "--", "/usr/bin/veilcamd", "token"),
             *("create", "--label", "checks", "--scope", "read:status", "--scope", "classify"),

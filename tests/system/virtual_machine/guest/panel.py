@@ -40,7 +40,6 @@ class Both:
         self._closed = False
 
     def write(self, buffer: memoryview | bytes) -> None:
-        """Send all bytes twice."""
         self._spi.write(buffer)
         self._emulator.write(buffer)
         self.sent += [(self._data, value) for value in bytes(buffer)]
@@ -50,13 +49,11 @@ class Both:
         return self._emulator.read(command, count)
 
     def data(self, value: bool, /) -> None:
-        """Drive D/C."""
         self._lines.data(value)
         self._emulator.data(value)
         self._data = value
 
     def reset(self, value: bool, /) -> None:
-        """Drive RST."""
         self._lines.reset(value)
         self._emulator.reset(value)
 
@@ -69,7 +66,6 @@ class Both:
 
 
 def came_out(log: bytes) -> Iterator[Byte]:
-    """Return what passed over the bus, from its log."""
     at = 0
     while at < len(log):
         data, length = log[at : at + 1] == b"1", int.from_bytes(log[at + 1 : at + 5], "little")
