@@ -76,13 +76,7 @@ class Verdict:
 
 
 def besiege(serve: str, extent: Extent, rows: Sequence[str]) -> Iterator[Verdict]:
-    """Yield the verdict of each row once it is there.
-
-    Args:
-        serve: name of a daemon's main function, ``module:function``.
-        extent: size of each row.
-        rows: names out of ``ROWS``.
-    """
+    """Yield the verdict of each row once it is there."""
     with tempfile.TemporaryDirectory(prefix="veilcam-siege-") as folder, ExitStack() as stack:
         ground = Ground(serve, Path(folder).resolve(), extent, stack)
         for name in rows:

@@ -115,11 +115,7 @@ class Findings:
 class Fuzz:
     """Caller of one daemon, who checks every answer against its document.
 
-    Args:
-        url: URL of the daemon.
-        callers: tokens by name, None for none; one is ``everything``.
-        examples: requests of each kind for each operation.
-        more: times that the caller with every scope sends as many.
+    The caller ``everything`` has every scope and sends ``more`` times as much as another.
     """
 
     def __init__(

@@ -69,16 +69,7 @@ class Address:
         source: str = NEIGHBOUR,
         patience: float = PATIENCE,
     ) -> Reply:
-        """Send one request over a connection of its own.
-
-        Args:
-            method: GET, POST, ...
-            path: path with its query.
-            body: bytes as they are, anything else as JSON, None for none.
-            headers: headers beside, or instead of, the usual ones.
-            source: address that the connection comes from.
-            patience: longest wait for the whole answer [s].
-        """
+        """Send one request over a connection of its own."""
         content = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
         kind = {} if body is None else {"Content-Type": "application/json"}
         question, began = f"{method} {path}", time.monotonic()
@@ -115,14 +106,7 @@ def _client(address: Address, source: str) -> httpx.AsyncClient:
 
 @dataclass
 class EventStream:
-    """Events of one stream so far.
-
-    Attributes:
-        status: status of the answer, 0 before there is one.
-        kinds: number of events of each kind.
-        masks: names of the epochs that were announced.
-        ended: whether the daemon closed the stream.
-    """
+    """Events of one stream so far."""
 
     status: int = 0
     kinds: Counter[str] = field(default_factory=Counter)

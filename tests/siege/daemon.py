@@ -102,16 +102,7 @@ class Daemon:
 
 @contextmanager
 def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[Daemon]:
-    """Yield a daemon that listens; end it afterwards.
-
-    Args:
-        serve: name of its main function, ``module:function``; ``veilcam_server.daemon:serve``.
-        settings: settings of the daemon.
-        around: its surroundings.
-
-    Raises:
-        StartError: it did not start, for its own reason.
-    """
+    """Yield a daemon that listens; end it afterwards."""
     log = around.log or settings.state_dir.with_name("veilcamd.log")
     with child(_live, serve, settings, around, log) as (process, told):
         try:
@@ -163,9 +154,6 @@ def _mount(folder: Path, size: int) -> None:
     """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees.
 
     A user without the right to mount does so in a name space of users, if the kernel allows that.
-
-    Raises:
-        NoDiskError: it does not.
     """
     library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")

@@ -81,14 +81,7 @@ QUICK = Extent(
 
 @dataclass
 class Judgement:
-    """Findings of a row, compared with its bars.
-
-    Attributes:
-        found: all findings, a part of a sentence each.
-        missed: findings that missed a bar.
-        figures: measured values by name.
-        untried: reason why this machine could not try the row, or the rest of it.
-    """
+    """Findings of a row and its bars; ``untried`` says why this machine could not try it all."""
 
     found: list[str] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
@@ -128,14 +121,7 @@ class Judgement:
 
 @dataclass
 class Ground:
-    """Daemons of one siege.
-
-    Args:
-        serve: name of a daemon's main function, ``module:function``.
-        folder: folder for their state and logs.
-        extent: size of each row.
-        stack: end of the siege, until which the shared daemon runs.
-    """
+    """Daemons of one siege; ``stack`` is its end, until which the shared daemon runs."""
 
     serve: str
     folder: Path

@@ -62,13 +62,7 @@ class Lineage:
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes to one daemon, any of which may be under way when it is killed.
-
-    Attributes:
-        digests: digests of two bundles that are there, to activate in turn.
-        third: content of a bundle that comes and goes.
-        guests: receivers that come and go.
-    """
+    """Changes to one daemon, under way when it is killed; ``third`` is a bundle that comes and goes."""
 
     digests: Sequence[str]
     third: bytes

@@ -31,12 +31,7 @@ ADVANCE, CAPTURE, LEASE = "/v1/rotation/advance", "/v1/classifications", "/v1/le
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """Request that a page makes a browser send.
-
-    Attributes:
-        page: headers that tell of the page, and its type of the body.
-        own: headers of the same request by a program.
-    """
+    """Request that a page makes a browser send."""
 
     method: str
     path: str

@@ -193,15 +193,8 @@ class Rig:
 class Outcome:
     """Counts of a run.
 
-    Attributes:
-        captures: captures that came to a measurement.
-        mixed: measurements of another mask than their own, or of a mixture.
-        errors: errors that the daemon knows.
-        lost: captures that ended neither in a measurement, which its receiver could open, nor in
-            such an error; accusations of the panel, which hides, among them.
-        epochs: names of the epochs of all measurements.
-        masks: digests of all masks that were shown, but for those that were put back.
-        growth: growth of resident memory after the warm-up [MB].
+    Mixed are measurements of another mask than their own. Lost are captures that ended neither in
+    a measurement, which its receiver could open, nor in an error that the daemon knows.
     """
 
     captures: int = 0

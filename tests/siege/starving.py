@@ -27,14 +27,7 @@ QUIET = 5.0
 
 @dataclass
 class Service:
-    """Replies to honest clients.
-
-    Attributes:
-        neighbour: replies to ``status``, asked from an address that attacks nobody.
-        beside: replies to ``status``, asked from the attacker's own address.
-        captures: replies to captures.
-        resident: highest memory of the daemon [MB].
-    """
+    """Replies to honest clients: ``beside`` asks from the attacker's own address."""
 
     neighbour: list[Reply] = field(default_factory=list)
     beside: list[Reply] = field(default_factory=list)

@@ -26,15 +26,7 @@ JSON = "application/json"
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """One request.
-
-    Attributes:
-        way: how the page makes the browser send it, as page.html names it.
-        method: of the request.
-        path: of the daemon.
-        body: what the page sends, and the program too.
-        media_type: what the program says that the body is; the page only where it is asked first.
-    """
+    """One request; ``way`` is how the page makes the browser send it, as page.html names it."""
 
     way: str
     method: str

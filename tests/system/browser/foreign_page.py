@@ -36,13 +36,7 @@ def browser() -> str | None:
 
 @dataclass(frozen=True)
 class Watched:
-    """A daemon, seen from its own side.
-
-    Attributes:
-        url: where it listens.
-        state_dir: with its audit log.
-        headers: of who may ask everything.
-    """
+    """A daemon, seen from its own side."""
 
     url: str
     state_dir: Path
@@ -76,13 +70,7 @@ class Watched:
 
 @dataclass
 class Result:
-    """What came of the requests of one page.
-
-    Attributes:
-        learned: what the page could read, by the name of the request; None: nothing.
-        changed: names of the requests after which the daemon was another.
-        refused: codes with which the daemon refused.
-    """
+    """What the page of one site read (None: nothing), changed, and was refused for."""
 
     learned: dict[str, str | None] = field(default_factory=dict)
     changed: list[str] = field(default_factory=list)
@@ -200,16 +188,7 @@ def show(
     host: str,
     target: str | None,
 ) -> Result:
-    """Let a browser show a page that makes every request, and return what came of them.
-
-    Args:
-        program: the browser.
-        folder: for its profile and log.
-        asks: the requests.
-        watched: the daemon.
-        host: name that the page comes from; every name leads to this machine.
-        target: URL under which the page asks the daemon; None: under its own.
-    """
+    """Let a browser show a page that makes every request, and return what came of them."""
     server = _Server(asks, target, watched)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

@@ -23,13 +23,7 @@ LAN_NAME = "camera.lan"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One page.
-
-    Attributes:
-        auth: of the daemon.
-        host: that the page comes from.
-        daemon: host under which it asks; None: under its own, which has come to lead there.
-    """
+    """One page; ``daemon`` is None where its own name has come to lead to the daemon."""
 
     auth: str
     host: str

@@ -36,16 +36,7 @@ class Result:
 
 @dataclass
 class Checks:
-    """All of them, on one root; a check may build on those before it.
-
-    Args:
-        root: with what the package depends on.
-        package: as it is shipped.
-        recording: that the daemon answers with.
-        measured: what is read there and here.
-        folder: for packages that are made of it.
-        patience: how many times longer the machine takes.
-    """
+    """All of them, on one root; ``patience`` is how many times longer the machine takes."""
 
     root: Root
     package: Path

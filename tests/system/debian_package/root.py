@@ -27,11 +27,7 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
     """Return the archive of a root; made if it is not there.
 
-    Args:
-        build: where archives are kept, of one choice of packages.
-        suite: of Debian.
-        architecture: Debian's name of it.
-        packages: in it; with ``ca-certificates`` it trusts whom this machine trusts.
+    With ``ca-certificates`` among its packages it trusts whom this machine trusts.
     """
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
@@ -73,11 +69,7 @@ class Root:
         return cls(path)
 
     def run(self, *command: str, user: str | None = None, check: bool = True) -> str:
-        """Return what a command prints on both of its outputs.
-
-        Raises:
-            AssertionError: it failed, and that was not expected.
-        """
+        """Return what a command prints on both of its outputs."""
         who = () if user is None else (f"--userspec={user}:{user}",)
         done = subprocess.run(
             [

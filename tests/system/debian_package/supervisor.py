@@ -27,13 +27,7 @@ FIRST_DESCRIPTOR = 3
 
 
 class Supervisor:
-    """Keeps a unit's program running until it is stopped.
-
-    Args:
-        root: in which the unit is.
-        patience: how many times longer a start may take than the unit allows: an emulated
-            processor is slow.
-    """
+    """Keeps a unit's program running until it is stopped."""
 
     def __init__(self, root: Root, *, patience: float = 1.0) -> None:
         self._root = root
@@ -82,11 +76,7 @@ class Supervisor:
         self._end()
 
     def wait_ready(self, seconds: float) -> None:
-        """Wait until a start was followed by ``READY=1``.
-
-        Raises:
-            AssertionError: none was.
-        """
+        """Wait until a start was followed by ``READY=1``."""
         if not self.ready_at.wait(seconds):
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 

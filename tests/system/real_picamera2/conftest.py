@@ -68,11 +68,7 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Return once it holds.
-
-    Raises:
-        TimeoutError: it never does.
-    """
+    """Return once it holds."""
     until = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > until:
