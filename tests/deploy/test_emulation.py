@@ -39,18 +39,15 @@ def test_an_entry_that_is_there_is_left(binfmt: Path, rules: Path) -> None:
     assert (binfmt / "register").read_text() == ""
 
 
-def test_without_an_emulator_it_says_what_to_install(binfmt: Path, tmp_path: Path) -> None:
-    with pytest.raises(EmulationError, match=r"apt install qemu-user-static$"):
-        register("arm64", binfmt, tmp_path)
-
-
-def test_a_kernel_without_it_is_named(tmp_path: Path, rules: Path) -> None:
-    with pytest.raises(EmulationError, match="cannot be mounted"):
-        register("arm64", tmp_path / "nowhere", rules)
-
-
-def test_a_refusal_is_told(binfmt: Path, rules: Path) -> None:
+def test_what_keeps_it_from_being_entered_is_told(
+    binfmt: Path, rules: Path, tmp_path: Path
+) -> None:
     (binfmt / "register").unlink()
     (binfmt / "register").mkdir()
-    with pytest.raises(EmulationError, match="Linux refuses the entry"):
-        register("arm64", binfmt, rules)
+    for place, given, told in (
+        (binfmt, tmp_path, r"apt install qemu-user-static$"),
+        (tmp_path / "nowhere", rules, "cannot be mounted"),
+        (binfmt, rules, "Linux refuses the entry"),
+    ):
+        with pytest.raises(EmulationError, match=told):
+            register("arm64", place, given)

@@ -62,7 +62,7 @@ class Lineage:
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes to one daemon, under way when it is killed; ``third`` is a bundle that comes and goes."""
+    """Changes to one daemon; ``third`` is a bundle that comes and goes, as ``guests`` do."""
 
     digests: Sequence[str]
     third: bytes

@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.reopening import ReopeningSensor
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
+SHAPE = (4, 5)
 REAL = find_spec("libcamera") is not None
 # `make test` has no libcamera; `make test-libcamera` has.
 collect_ignore = [] if REAL else ["test_picamera2.py", "virtual_picamera2.py"]
@@ -65,6 +68,22 @@ def real_rig(stack: ExitStack) -> Rig:
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     with ExitStack() as stack:
         yield request.param(stack)
+
+
+class Driver:
+    """The driver, and the cameras that it opened."""
+
+    def __init__(self, opens: Callable[[], Any], mode: SensorMode) -> None:
+        self.cameras: list[Any] = []
+
+        def open_camera() -> Any:
+            self.cameras.append(opens())
+            return self.cameras[-1]
+
+        given: dict[str, Any] = {"shape": SHAPE, "mode": mode, "exposures": ExposureRange(0.001)}
+        self.sensor = ReopeningSensor("IMX477", 1.0, lambda: IMX477(open_camera, **given))
+        with self.sensor._part.open():
+            pass
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
