@@ -109,14 +109,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.server.note(self.path.removeprefix("/learned/"), json.loads(content))
         self._answer(b"", "text/plain")
 
-    def do_PUT(self) -> None:
-        self.do_POST()
-
-    def do_DELETE(self) -> None:
-        self.do_POST()
-
-    def do_OPTIONS(self) -> None:
-        self.do_POST()
+    do_PUT = do_DELETE = do_OPTIONS = do_POST  # noqa: N815
 
     def _relay(self) -> None:
         """The name of this server leads to the daemon now: what comes goes there as it is."""

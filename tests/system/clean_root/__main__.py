@@ -68,8 +68,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Make the root, and run the command in it."""
-    reason = obstacle(TOOLS)
-    if reason is not None:
+    if reason := obstacle(TOOLS):
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -82,6 +81,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

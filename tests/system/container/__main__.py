@@ -118,8 +118,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Build, start and ask."""
-    reason = obstacle(TOOLS)
-    if reason is not None:
+    if reason := obstacle(TOOLS):
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -144,6 +143,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

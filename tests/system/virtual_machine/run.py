@@ -34,12 +34,7 @@ from tests.system.obstacle import obstacle
 ROOT = Path(__file__).resolve().parents[3]
 IMAGE = Path(__file__).with_name("build-image.sh")
 BUILD = ROOT / "build" / "virtual-machine"
-TOOLS = {
-    "mmdebstrap": "mmdebstrap",
-    "mke2fs": "e2fsprogs",
-    "cpio": "cpio",
-    "xz": "xz-utils",
-}
+TOOLS = {"mmdebstrap": "mmdebstrap", "mke2fs": "e2fsprogs", "cpio": "cpio", "xz": "xz-utils"}
 """Programs, and the Debian packages that have them."""
 FOREIGN_TOOLS = {"arch-test": "arch-test"}
 """What mmdebstrap wants besides, for a root of another architecture."""
@@ -163,8 +158,7 @@ def main(
     build = build or BUILD / architecture.value
     emulated = architecture is not Architecture.AMD64
     tools = {machine.emulator: machine.package, **TOOLS, **(FOREIGN_TOOLS if emulated else {})}
-    reason = obstacle(tools)
-    if reason is not None:
+    if reason := obstacle(tools):
         console.print(f"NOT RUN: {reason}")
         return
     if not again:

@@ -94,9 +94,8 @@ class Checks:
         with Camera(URLS[0], max_retries=0) as camera:
             self._refused(camera)
         version = run("systemctl", "--version").splitlines()[0]
-        took = int(unit("ActiveEnterTimestampMonotonic")) - int(
-            unit("InactiveExitTimestampMonotonic")
-        )
+        begin, end = (f"{each}TimestampMonotonic" for each in ("InactiveExit", "ActiveEnter"))
+        took = int(unit(end)) - int(unit(begin))
         return f"{version}; {took / 1e6:.0f} s to start"
 
     def answers_on_both_sockets(self) -> str:
@@ -126,12 +125,8 @@ class Checks:
         assert status.st_mode & 0o777 == 0o660
         script = f"import socket; socket.socket(socket.AF_UNIX).connect({str(SOCKET)!r})"
         run("runuser", "-u", "veilcam", "--", PYTHON, "-c", script)
-        denied = subprocess.run(
-            ["runuser", "-u", "nobody", "--", PYTHON, "-c", script],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
+        refused = ["runuser", "-u", "nobody", "--", PYTHON, "-c", script]
+        denied = subprocess.run(refused, check=False, capture_output=True, text=True)
         assert "PermissionError" in denied.stderr
         return "nobody is refused"
 
@@ -181,19 +176,8 @@ class Checks:
         with socket.create_server(("127.0.0.1", probe.PORT)):
             Path("/srv/state").mkdir()
             shutil.chown("/srv/state", "veilcam")
-            outside = json.loads(
-                run(
-                    "runuser",
-                    "-u",
-                    "veilcam",
-                    "--",
-                    PYTHON,
-                    "-m",
-                    "guest.probe",
-                    "attempts",
-                    "/srv/state",
-                )
-            )
+            who = ("runuser", "-u", "veilcam", "--")
+            outside = json.loads(run(*who, PYTHON, "-m", "guest.probe", "attempts", "/srv/state"))
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
                 # What runs after the probe has the same output, and must not empty it.
                 "StandardOutput=append:/run/panel/probe", "StandardError=journal",
@@ -256,10 +240,11 @@ class Checks:
         run("dpkg", "--remove", "veilcam")
         edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
         # Whether it was enabled is a setting, for when it is installed again.
-        enabled = {
-            network.UNITS / "multi-user.target.wants" / "veilcamd.service",
-            network.UNITS / "sockets.target.wants" / "veilcamd.socket",
-        }
+        wanted = (
+            "multi-user.target.wants/veilcamd.service",
+            "sockets.target.wants/veilcamd.socket",
+        )
+        enabled = {network.UNITS / each for each in wanted}
         kept = {STATE, Path("/etc/veilcam"), *edited, *enabled}
         assert self._left() == kept, self._left()
         assert (STATE / "device-key.json").exists()
