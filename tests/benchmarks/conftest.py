@@ -1,13 +1,8 @@
 """The server's benches, which measurements are tried on."""
 
-from tests.unit.server.conftest import (
-    _no_settings_from_outside,
-    _own_logs,
-    anyio_backend,
-    bench,
-    bundle,
-)
-from tests.unit.training.conftest import digit_folder, source
+import json
+from pathlib import Path
+from typing import Any
 
 __all__ = [
     "_no_settings_from_outside",
@@ -18,3 +13,8 @@ __all__ = [
     "digit_folder",
     "source",
 ]
+
+
+def figures_of(path: Path) -> dict[str, Any]:
+    """Return the values of a record by name."""
+    return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.daemon import demo, overhead, sse
 from benchmarks.people.zone import seen_after
 from rich.console import Console
+from tests.benchmarks.conftest import figures_of
 
 from veilcam_client.wire.captures import Timing
 from veilcam_client.wire.events import Event, Gap, MaskChanged
@@ -34,7 +35,7 @@ def test_figures_of_clients_at_the_same_time(
     said = capsys.readouterr().out
     assert "6 requests of 2 plain clients" in said
     assert "6 requests of 2 SDK clients" in said
-    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    record = figures_of(figures)
     assert record.keys() == {
         f"overhead_{name}{figure}_ms" for name in ("", "sdk_") for figure in ("median", "p99")
     }
