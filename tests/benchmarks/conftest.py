@@ -4,6 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tests.unit.server.conftest import (
+    _no_settings_from_outside,
+    _own_logs,
+    anyio_backend,
+    bench,
+    bundle,
+)
+from tests.unit.training.conftest import digit_folder, source
+
 __all__ = [
     "_no_settings_from_outside",
     "_own_logs",
