@@ -118,7 +118,6 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
-    """Cookie and storage of a browser that gave the token once."""
     context = chromium.new_context()
     page = context.new_page()
     page.set_default_timeout(PATIENCE)

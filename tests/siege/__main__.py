@@ -76,7 +76,6 @@ class Verdict:
 
 
 def besiege(serve: str, extent: Extent, rows: Sequence[str]) -> Iterator[Verdict]:
-    """Yield the verdict of each row once it is there."""
     with tempfile.TemporaryDirectory(prefix="veilcam-siege-") as folder, ExitStack() as stack:
         ground = Ground(serve, Path(folder).resolve(), extent, stack)
         for name in rows:

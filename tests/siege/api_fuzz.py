@@ -132,7 +132,6 @@ class Fuzz:
         self._more, self._cases = more, _all_cases(answer.text, more * examples)
 
     def run(self, bundle: bytes | None = None) -> None:
-        """Send everything, as every caller; upload ``bundle`` as well."""
         for name in self._callers:
             for (method, path), cases in self._cases.items():
                 for case in cases if name == "everything" else cases[:: self._more]:
@@ -238,7 +237,6 @@ def _all_cases(document: str, examples: int) -> dict[tuple[str, str], list[schem
 
 
 def _cases(operation: Any, examples: int) -> list[schemathesis.Case[Any]]:
-    """Return requests that the document allows, and such that it does not."""
     found: list[schemathesis.Case[Any]] = []
     for mode in (schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE):
 
@@ -270,7 +268,6 @@ def make_callers(store: TokenStore, scopes: Sequence[Scope]) -> dict[str, str | 
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Ask daemons everything, one for each form of release, and search what they say."""
     findings, leaks = Findings(), list[str]()
     releases: tuple[Release, ...] = ("raw", "white", "sealed")
     for release in releases if ground.extent.whole else releases[2:]:
@@ -290,7 +287,6 @@ async def fuzzed(ground: Ground, judgement: Judgement) -> None:
 
 
 def ask_daemon(ground: Ground, release: Release) -> tuple[Findings, list[str]]:
-    """Ask a daemon everything, end it, and search what left; return the answers and the leaks."""
     given: dict[str, Any] = {"raw_budget": RAW_BUDGET} if release == "raw" else {}
     if ground.extent.whole:
         given["bundle"] = BUNDLE if release == "raw" else FRESH

@@ -68,7 +68,6 @@ class Attack:
             await asyncio.sleep(AGAIN)
 
     async def _one(self, number: int, until: float) -> bool:
-        """Return whether a connection was dropped in time; raises OSError if it was refused."""
         kind = self.kinds[number % len(self.kinds)]
         token = self.tokens[number // len(self.kinds) % len(self.tokens)]
         address, place = self.address.with_token(token), urlsplit(self.address.url)

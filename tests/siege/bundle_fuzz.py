@@ -118,7 +118,6 @@ class Outcome:
     slowest: float = 0.0
 
     def hear(self, told: Connection, left: list[int]) -> None:
-        """Note what one child says, and take what it has done off the list."""
         begun = 0.0
         while True:
             # Loading what is not mutated is no file's time.
@@ -154,8 +153,6 @@ def try_all(
 
 
 async def disturb(address: Address, content: bytes) -> str | None:
-    """Send one file to a daemon; return what is wrong afterwards."""
-
     async def in_use() -> tuple[str, str, list[str]]:
         bundles = (await address.get("bundles"))["bundles"]
         [active] = [each for each in bundles if each["active"]]
@@ -185,7 +182,6 @@ async def disturb(address: Address, content: bytes) -> str | None:
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Look for files that crash, hang, fill the memory, or change what runs."""
     extent, work = ground.extent, ground.folder
     settings = ground.settings("bundle-fuzz", rotation=RotationOff(), **UNHINDERED)
     # The last one stays, for the daemon.

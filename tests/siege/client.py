@@ -69,7 +69,6 @@ class Address:
         source: str = NEIGHBOUR,
         patience: float = PATIENCE,
     ) -> Reply:
-        """Send one request over a connection of its own."""
         content = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
         kind = {} if body is None else {"Content-Type": "application/json"}
         question, began = f"{method} {path}", time.monotonic()
@@ -106,8 +105,6 @@ def _client(address: Address, source: str) -> httpx.AsyncClient:
 
 @dataclass
 class EventStream:
-    """Events of one stream so far."""
-
     status: int = 0
     kinds: Counter[str] = field(default_factory=Counter)
     masks: list[str] = field(default_factory=list)
@@ -143,7 +140,6 @@ class EventStream:
 
 @asynccontextmanager
 async def listening(address: Address) -> AsyncIterator[EventStream]:
-    """Yield an event stream that was answered, or refused."""
     stream, answered = EventStream(), asyncio.Event()
     task = asyncio.create_task(stream.read(address, answered))
     try:

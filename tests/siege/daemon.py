@@ -102,7 +102,6 @@ class Daemon:
 
 @contextmanager
 def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[Daemon]:
-    """Yield a daemon that listens; end it afterwards."""
     log = around.log or settings.state_dir.with_name("veilcamd.log")
     with child(_live, serve, settings, around, log) as (process, told):
         try:

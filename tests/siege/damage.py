@@ -119,7 +119,6 @@ async def _first_life(address: Address, settings: Settings) -> tuple[dict[str, o
 
 
 async def _spend(address: Address) -> None:
-    """Have all embeddings that may leave behind the masks of the bundle in use."""
     for _ in range(MOST):
         if (await address.ask("POST", "/v1/captures")).status != 200:
             return

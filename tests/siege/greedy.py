@@ -50,7 +50,6 @@ class Loot:
             self.masks[np.asarray(taken).tobytes()] += 1
 
     async def grows(self, more: int) -> None:
-        """Wait until it has grown by so many, or for ``LIFE``."""
         wanted = self.epochs.total() + more
         with suppress(TimeoutError):
             async with asyncio.timeout(LIFE):
@@ -103,7 +102,6 @@ async def _race(
 
 
 async def _spent(address: Address, digests: Sequence[str], loot: Loot) -> bool:
-    """Return whether no bundle lets out any more."""
     replies = []
     for digest in digests:
         await address.ask("POST", f"/v1/bundles/{digest}/activate")

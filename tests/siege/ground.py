@@ -129,7 +129,6 @@ class Ground:
     stack: ExitStack
 
     def settings(self, name: str, **more: Any) -> Settings:
-        """Return settings of a simulated daemon with tokens, in a new folder of this name."""
         folder = self.folder / name
         # The state and the log have a folder of their own, which a disk can be mounted on.
         (folder / "disk").mkdir(parents=True)
@@ -177,8 +176,6 @@ Work: TypeAlias = Callable[[], Awaitable[None]]
 
 @asynccontextmanager
 async def busy(works: Iterable[Work]) -> AsyncIterator[None]:
-    """Repeat all works side by side while the context lasts; raise what one of them raises."""
-
     async def repeat(work: Work) -> None:
         while True:
             await work()
@@ -221,7 +218,6 @@ async def pair(address: Address, label: str, receiver: Receiver) -> Reply:
 
 
 async def standing_still(address: Address) -> list[str]:
-    """Return the tasks of a daemon that do not go on, which a token with all scopes asks for."""
     still = []
     async with listening(address) as stream:
         if not await stream.until("mask", 2, 15.0):

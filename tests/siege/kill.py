@@ -41,13 +41,10 @@ GUESTS = 3
 
 @dataclass
 class Lineage:
-    """State directory, and what was acknowledged of it."""
-
     settings: Settings
     ledger: Ledger
 
     def copied(self, name: str) -> Lineage:
-        """Return a copy of the state in another folder, and of what is known of it."""
         state = self.settings.state_dir.parent.with_name(name) / self.settings.state_dir.name
         shutil.rmtree(state.parent, ignore_errors=True)
         shutil.copytree(self.settings.state_dir, state)
@@ -155,7 +152,6 @@ class Changes:
 
 
 async def killed(ground: Ground, judgement: Judgement) -> None:
-    """Kill a daemon while it changes masks, bundles, tokens, receivers and its policy."""
     # Without noise, what was measured behind one mask tells it from another.
     settings = ground.settings("killed", snr_db=math.inf)
     [token] = make_tokens(settings, ("owner",))

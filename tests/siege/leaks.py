@@ -56,7 +56,6 @@ class Planted:
                 self._bytes[window] = name
 
     def add_levels(self, name: str, levels: npt.NDArray[np.uint8]) -> None:
-        """Add a mask, row by row and column by column."""
         self.add_bytes(name, levels.tobytes(), WINDOW)
         self.add_bytes(name, np.ascontiguousarray(levels.T).tobytes(), WINDOW)
 
@@ -102,7 +101,6 @@ class Planted:
             self.add_levels(f"mask of epoch {number}", levels)
 
     def add_sealed(self, receiver: ReceiverKey, answers: Sequence[Capture]) -> None:
-        """Add the embeddings that a receiver opens, and nobody else, and their epochs' keys."""
         opener = Opener(receiver)
         for answer in answers:
             assert isinstance(answer.embedding, SealedEmbedding)

@@ -88,7 +88,6 @@ class Ledger:
         return {name: name in there for name in known}
 
     async def _sealed_to(self, address: Address, life: Life) -> set[str] | None:
-        """Return the receivers of an embedding; None if none was taken."""
         reply = await address.ask("POST", "/v1/captures")
         if reply.status != 200:
             return None

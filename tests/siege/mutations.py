@@ -122,7 +122,6 @@ def places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
 
 
 def edit(chance: random.Random, content: Any, value: Any) -> None:
-    """Put ``value`` somewhere into a JSON document, or take something away."""
     # A copy: what is changed here again must not change for other files.
     value = copy.deepcopy(value)
     path = chance.choice(list(places(content))[1:])
@@ -172,7 +171,6 @@ def manifest_text(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def layers(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Other layers: absurd ones, too many, too large."""
     parts = unpack(chance.choice(data))
     content = json.loads(parts["bundle.json"])
     holder = chance.choice(content["pairs"]) if content.get("pairs") else content["fresh"]

@@ -31,8 +31,6 @@ ADVANCE, CAPTURE, LEASE = "/v1/rotation/advance", "/v1/classifications", "/v1/le
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """Request that a page makes a browser send."""
-
     method: str
     path: str
     page: Headers

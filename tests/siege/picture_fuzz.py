@@ -70,7 +70,6 @@ def holds(sample: Sample, found: object) -> bool:
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Look for pictures that crash, fail without a name, or are read as what they are not."""
     samples, folder = make_samples(), ground.folder / "picture-fuzz"
     folder.mkdir()
     readable, count = [each for each in samples if not each.refusal], ground.extent.pictures

@@ -174,7 +174,6 @@ class Rig:
         setattr(*random.choice(faults))
 
     def mend(self) -> None:
-        """End what would last."""
         self.frames.stuck, self.frames.gain = False, 1.0
 
     def stop(self) -> None:
@@ -183,7 +182,6 @@ class Rig:
         self.camera.stop()
 
     def meddle(self, ended: threading.Event) -> None:
-        """Change masks by hand, about five times a second."""
         while not ended.wait(random.expovariate(5.0)):
             with suppress(*KNOWN):
                 self.camera.rotate()
@@ -260,7 +258,6 @@ def soak(
     faults: float = FAULTS,
     every: int = 2000,
 ) -> Outcome:
-    """Take captures on hardware that fails, over engines that are stopped and started."""
     receiver, outcome, forms = ReceiverKey.generate(), Outcome(), itertools.cycle(FORMS)
     opener = Opener(receiver)
 
@@ -291,7 +288,6 @@ def soak(
 
 
 async def soaked(ground: Ground, judgement: Judgement) -> None:
-    """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
     captures = ground.extent.captures
     outcome = soak(ground.folder / "soak", captures, every=max(20, captures // 10))

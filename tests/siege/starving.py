@@ -46,7 +46,6 @@ def p99(replies: Sequence[Reply]) -> float:
 
 
 async def measure(daemon: Daemon, tokens: Sequence[str], seconds: float) -> Service:
-    """Ask as three honest clients do, over a new connection for every request."""
     service, ends = Service(), asyncio.get_running_loop().time() + seconds
 
     async def client(token: str, source: str, replies: list[Reply], *, capture: bool) -> None:
@@ -68,7 +67,6 @@ async def measure(daemon: Daemon, tokens: Sequence[str], seconds: float) -> Serv
 async def dribbling(
     ground: Ground, judgement: Judgement, *, tls: bool = False, sources: Sequence[str] = (ATTACKER,)
 ) -> None:
-    """Attack by thousands of sockets that begin and never finish."""
     extent = ground.extent
     with ExitStack() as stack:
         if tls:
@@ -127,7 +125,6 @@ def _attacked(plan: Attack) -> Losses:
 
 
 async def greed(ground: Ground, judgement: Judgement) -> None:
-    """Open all event streams that one token gets, beside many clients with theirs."""
     extent, (settings, daemon) = ground.extent, ground.shared
     names = [f"client {number}" for number in range(extent.clients)]
     greedy, *others = make_tokens(settings, ("greedy", *names))
@@ -152,7 +149,6 @@ async def greed(ground: Ground, judgement: Judgement) -> None:
 
 
 async def stalled_upload(ground: Ground, judgement: Judgement) -> None:
-    """Stop an upload in the middle, and use bundles meanwhile."""
     settings, daemon = ground.shared
     stalling, other = make_tokens(settings, ("stalling", "other"))
     address, place = daemon.address.with_token(other), urlsplit(daemon.address.url)

@@ -36,11 +36,9 @@ class Ask:
 
     @property
     def name(self) -> str:
-        """A word for it, unlike any other's."""
         return re.sub(r"[^A-Za-z]+", "-", f"{self.way} {self.method} {self.path}")
 
     def for_page(self, url: str) -> dict[str, Any]:
-        """What the page is told of it; it fetches the body by its name."""
         return {
             "name": self.name,
             "way": self.way,

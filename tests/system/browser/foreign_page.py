@@ -36,8 +36,6 @@ def browser() -> str | None:
 
 @dataclass(frozen=True)
 class Watched:
-    """A daemon, seen from its own side."""
-
     url: str
     state_dir: Path
     headers: Mapping[str, str] = field(default_factory=dict)
@@ -64,7 +62,6 @@ class Watched:
         return [json.loads(line) for line in lines]
 
     def refusals(self) -> list[str]:
-        """Codes of what was refused without a caller, or from another host or site."""
         return [entry["code"] for entry in self.audit(REFUSED)]
 
 
@@ -181,7 +178,6 @@ def show(
     host: str,
     target: str | None,
 ) -> Result:
-    """Let a browser show a page that makes every request, and return what came of them."""
     server = _Server(asks, target, watched)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

@@ -41,7 +41,6 @@ TRIALS = {
 
 @contextmanager
 def daemon(folder: Path, auth: str) -> Iterator[Watched]:
-    """Start one with a simulated camera, a process of its own."""
     folder.mkdir()
     state, scene, headers = folder / "state", folder / "scene.npy", {}
     write_scene(scene, load_digits().images[0])

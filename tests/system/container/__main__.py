@@ -55,7 +55,6 @@ class Buildah:
 
 
 def base(buildah: Buildah, folder: Path) -> None:
-    """Make the image that the file begins with."""
     [architecture] = subprocess.check_output(
         ["dpkg", "--print-architecture"], text=True
     ).splitlines()

@@ -53,7 +53,6 @@ class Checks:
     _supervisor: Supervisor | None = None
 
     def run(self, report: Callable[[Result], None]) -> bool:
-        """Make them; the first that fails ends it, as the next build on it."""
         try:
             for check in (
                 self.installs_from_its_file_alone,

@@ -55,7 +55,6 @@ class Root:
 
     @classmethod
     def unpack(cls, file: Path, path: Path) -> Root:
-        """Make a root from an archive, in the place of what is there."""
         if path.exists():
             shutil.rmtree(path)
         path.mkdir(parents=True)
@@ -69,7 +68,6 @@ class Root:
         return cls(path)
 
     def run(self, *command: str, user: str | None = None, check: bool = True) -> str:
-        """Return what a command prints on both of its outputs."""
         who = () if user is None else (f"--userspec={user}:{user}",)
         done = subprocess.run(
             [

@@ -27,8 +27,6 @@ FIRST_DESCRIPTOR = 3
 
 
 class Supervisor:
-    """Keeps a unit's program running until it is stopped."""
-
     def __init__(self, root: Root, *, patience: float = 1.0) -> None:
         self._root = root
         unit = (root.path / "usr/lib/systemd/system/veilcamd.service").read_text()
@@ -76,7 +74,6 @@ class Supervisor:
         self._end()
 
     def wait_ready(self, seconds: float) -> None:
-        """Wait until a start was followed by ``READY=1``."""
         if not self.ready_at.wait(seconds):
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 

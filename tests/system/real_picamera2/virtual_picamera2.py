@@ -146,7 +146,6 @@ class RawPicamera2(PlainPicamera2):
         self._advertised = advertised | ADVERTISED
 
     def set_controls(self, controls: dict[str, Any]) -> None:
-        """Change controls; frames tell of them from the next one on."""
         super().set_controls(controls)
         self.told = self.told | controls
 

@@ -103,7 +103,6 @@ MACHINES: Mapping[Architecture, Machine] = {
 
 
 def boot(machine: Machine, build: Path) -> Iterator[str]:
-    """Boot the image, which stays as it is; return the lines of the console."""
     results = build / "results"
     results.unlink(missing_ok=True)
     command = [

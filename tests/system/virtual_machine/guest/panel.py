@@ -58,7 +58,6 @@ class Both:
         self._emulator.reset(value)
 
     def close(self) -> None:
-        """Let go of both; this is called once for each."""
         if not self._closed:
             self._closed = True
             self._spi.close()
@@ -75,7 +74,6 @@ def came_out(log: bytes) -> Iterator[Byte]:
 
 
 def shown(passed: list[Byte], tab: str = "green") -> PanelEmulator:
-    """Return a panel to which that happened."""
     panel = PanelEmulator(TABS[tab], reset_time=0.0)
     begin = 0
     for end in range(1, len(passed) + 1):
