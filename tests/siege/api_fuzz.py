@@ -167,13 +167,8 @@ class Fuzz:
         headers.pop("Authorization", None)
         if self._callers[name] is not None:
             headers["Authorization"] = f"Bearer {self._callers[name]}"
-        request = {
-            "url": f"{self._url}{path}",
-            **request,
-            "method": verb,
-            "headers": headers,
-            "stream": True,
-        }
+        request = {"url": f"{self._url}{path}", **request, "method": verb, "headers": headers}
+        request["stream"] = True
         with self._session.request(**request, timeout=60) as answer:
             streams = path == "/v1/events" and answer.ok
             content = _beginning(answer) if streams else answer.content

@@ -238,26 +238,15 @@ class Outcome:
         captured.classify()
         measured, embedding = captured.measurement, captured.release(0.0)
         if captured.form == "sealed":
-            answer = Capture(
-                id="",
-                epoch=captured.epoch,
-                number=captured.number,
-                taken_at=captured.taken_at,
-                embedding=embedding,
-            )
+            told = {each: getattr(captured, each) for each in ("epoch", "number", "taken_at")}
+            answer = Capture(id="", **told, embedding=embedding)
             measured = np.asarray(opener.open(answer).embedding)
         seen = measured * (CAMERA.panel.levels - 1)
         corner = captured.active.mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(float)
         self.mixed += bool(np.abs(seen - corner).max() > 0.1)
 
 
-def soak(
-    directory: Path,
-    captures: int,
-    *,
-    faults: float = FAULTS,
-    every: int = 2000,
-) -> Outcome:
+def soak(directory: Path, captures: int, *, faults: float = FAULTS, every: int = 2000) -> Outcome:
     receiver, outcome, forms = ReceiverKey.generate(), Outcome(), itertools.cycle(FORMS)
     opener = Opener(receiver)
 

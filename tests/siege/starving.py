@@ -105,10 +105,8 @@ async def dribbling(
         ("another address", 250, under.neighbour, quiet.neighbour, "siege_status_p99_ms"),
         ("the attacker's", 1000, under.beside, quiet.beside, ""),
     ):
-        beside = f"{p99(other):.0f} without attack"
-        judgement.at_most(
-            f"status p99 from {where} [ms]", p99(one), bar, beside=beside, figure=figure
-        )
+        beside, what = f"{p99(other):.0f} without attack", f"status p99 from {where} [ms]"
+        judgement.at_most(what, p99(one), bar, beside=beside, figure=figure)
     answered = sum(reply.status == 200 for reply in under.captures) / len(under.captures)
     grown = under.resident - quiet.resident
     judgement.at_least("captures answered [%]", 100 * answered, 99)
@@ -199,6 +197,5 @@ async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
     same = first.status == again.status == 200 and first.json()["id"] == again.json()["id"]
     judgement.holds(f"the same capture after {OTHER_KEYS} other keys", true=same)
     code = after.json().get("code") if after.status == 409 else after.status
-    judgement.holds(
-        f"done_before_restart after a restart ({code})", true=code == "done_before_restart"
-    )
+    known = code == "done_before_restart"
+    judgement.holds(f"done_before_restart after a restart ({code})", true=known)

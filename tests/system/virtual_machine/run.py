@@ -129,12 +129,8 @@ def results(build: Path) -> list[Result]:
 
 
 def table(architecture: Architecture, found: list[Result]) -> Table:
-    made = Table(
-        title=f"veilcamd under systemd, in a virtual machine ({architecture.value})",
-        title_justify="left",
-    )
-    for heading in ("check", "", "what was seen"):
-        made.add_column(heading)
+    title = f"veilcamd under systemd, in a virtual machine ({architecture.value})"
+    made = Table("check", "", "what was seen", title=title, title_justify="left")
     for result in found:
         mark = "[green]passed[/]" if result.passed else "[red]FAILED[/]"
         made.add_row(result.name, mark, result.detail)
