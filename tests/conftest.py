@@ -53,7 +53,6 @@ parses, refuses, keeps files or talks HTTP is the same on every processor."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let tests be asked for their long form."""
     parser.addoption("--long", action="store_true", help="tests marked long in their long form")
 
 
@@ -79,7 +78,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def long_form(request: pytest.FixtureRequest) -> bool:
-    """Whether a test marked long was asked for its long form."""
     return bool(request.config.getoption("--long"))
 
 

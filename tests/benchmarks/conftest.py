@@ -1,5 +1,9 @@
 """The server's benches, which measurements are tried on."""
 
+import json
+from pathlib import Path
+from typing import Any
+
 from tests.unit.server.conftest import (
     _no_settings_from_outside,
     _own_logs,
@@ -18,3 +22,8 @@ __all__ = [
     "digit_folder",
     "source",
 ]
+
+
+def figures_of(path: Path) -> dict[str, Any]:
+    """Return the values of a record by name."""
+    return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}

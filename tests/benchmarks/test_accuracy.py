@@ -1,14 +1,20 @@
-"""Accuracy chart: errors, fronts, the transfer job, and the command."""
+"""Accuracy chart: its methods, errors, fronts, other libraries, and the command."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 from pathlib import Path
 
 import pytest
 import torch
 import typer
 from benchmarks.accuracy import __main__ as command
+from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
+from benchmarks.accuracy.field_job import FieldJob
+from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
+from benchmarks.accuracy.geometric import GeometricShadow
 from benchmarks.accuracy.measure import (
     Job,
     Point,
@@ -18,9 +24,16 @@ from benchmarks.accuracy.measure import (
     pareto_front,
     relative_error,
 )
+from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 from benchmarks.accuracy.transfer_job import TransferJob
+from benchmarks.peers import accuracy
 from torch import Tensor
 from typer.testing import CliRunner
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
+from veilcam_optics.propagation import Propagator
+from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.grid import GridLight
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +133,141 @@ def test_quick_run_writes_table_json_and_charts(tmp_path: Path) -> None:
         and each["dials"]["dtype"] == "float64"
     ]
     assert exact[0] > 5 * exact[1] > 10 * exact[2]
+
+
+PEERS = accuracy.PEERS
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
+def test_peers_solve_the_same_problem(peer):  # type: ignore[no-untyped-def]
+    """Independent code, same physics: each peer's field comes as near as sampling allows."""
+    if reason := peer.missing():
+        pytest.skip(reason)
+    field = FieldJob(quick=True)
+    errors = [
+        measure(s, field.reference(), least=1, budget=1e-9).error
+        for s in peer.field(field)
+        if s.dials["oversampling"] == 3
+    ]
+    assert errors
+    assert max(errors) < 5e-2
+
+
+def test_waveprop_sees_the_same_scene_as_we_do() -> None:
+    """Inversion, colours and scale agree: what is left is its sampling of the mask."""
+    peer = next(peer for peer in PEERS if peer.name == "waveprop")
+    if reason := peer.missing():
+        pytest.skip(reason)
+    job = TransferJob(quick=True)
+    (chosen,) = peer.transfer(job)
+    assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
+
+
+WAVELENGTH, WAIST = 550e-9, 20e-6
+RAYLEIGH = math.pi * WAIST**2 / WAVELENGTH
+
+
+def gaussian(grid: Grid, z: float) -> torch.Tensor:
+    """Waist, curvature and Gouy phase of a beam (Siegman, Lasers, chapter 17)."""
+    squared = grid.y().square()[:, None] + grid.x().square()
+    q = 1 + 1j * z / RAYLEIGH
+    return torch.exp(-squared / (WAIST**2 * q)) / q
+
+
+@pytest.mark.parametrize(
+    ("method", "rayleigh_ranges"),
+    [
+        (FresnelTransfer(), 0.2),
+        (FresnelTransfer(guard=1), 1.0),
+        (FresnelImpulse(), 2.0),
+        (FresnelImpulse(), 3.0),
+        (RayleighSommerfeld(), 1.0),
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("pitch", [3.6e-6, 3e-6], ids=["same pitch", "other pitch"])
+def test_gaussian_beam_arrives_as_its_closed_form(
+    method: Propagator, rayleigh_ranges: float, pitch: float
+) -> None:
+    distance = RAYLEIGH * rayleigh_ranges
+    source = Grid.square(40, 41, 3.6e-6)
+    target = Grid(40, 38, pitch, pitch, centre_x=4e-6)
+    assert method.supports(source, target, distance, WAVELENGTH)
+    got = method.prepare(source, target, distance, WAVELENGTH)(gaussian(source, 0))
+    wanted = gaussian(target, distance)
+    assert float((got - wanted).norm() / wanted.norm()) < 3e-3
+
+
+def test_shadow_is_magnified_from_its_point_whatever_the_phase() -> None:
+    source, target = Grid.square(100, 100, 1e-6), Grid.square(300, 300, 1e-6)
+    field = torch.full((100, 100), 1j, dtype=torch.complex128)
+    shadow = GeometricShadow(source_distance=5e-3).prepare(source, target, 5e-3, WAVELENGTH)(field)
+    assert int((shadow.abs() > 0)[150].sum()) == 200
+    assert float(shadow.abs().max()) == pytest.approx(0.5)
+    assert float(shadow.norm() / field.norm()) == pytest.approx(1, rel=1e-12)
+
+
+SCENE = Scene(14, 14, 0.12, 0.4)
+EMBEDDING = Embedding(12, 16)
+# The algorithm knows the PSF on the sensor only, so the mask's shadow has to lie within.
+SMALL = Camera(window=Window(25, 11, 180, 74), sensor=Sensor(1520, 2028), distance=2e-3)
+
+
+def weights(camera: Camera, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
+
+
+def pictures(*shape: int) -> Tensor:
+    return torch.rand(shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+
+def relative(got: Tensor, wanted: Tensor) -> float:
+    return float((got - wanted).norm() / wanted.norm())
+
+
+def test_grid_is_the_papers() -> None:
+    grid = Algorithm1(Camera(), SCENE, EMBEDDING).grid
+    assert grid.shape == (380, 507)
+    assert float(grid.pitch_y) == pytest.approx(12.4e-6)
+
+
+def test_area_variant_agrees_with_the_grid_path_and_bilinear_does_not() -> None:
+    light = GridLight(SMALL, SCENE, 2)
+    mask, scene = weights(SMALL), pictures(3, 14, 14)
+    wanted = light.embed(scene, light.psf(mask), EMBEDDING)
+    errors = {}
+    both: tuple[Resampling, ...] = ("area", "bilinear")
+    for resampling in both:
+        simulation = Algorithm1(SMALL, SCENE, EMBEDDING, resampling, snr_db=math.inf)
+        errors[resampling] = relative(simulation(scene, simulation.psf(mask)), wanted)
+    assert errors["area"] < 1e-2
+    assert errors["bilinear"] > 4 * errors["area"]
+
+
+@pytest.mark.parametrize("sensor", [(1208, 1200), (1200, 1208)])
+def test_picture_is_not_shifted_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
+    """150 and 151 samples: all that is symmetric must give a symmetric picture."""
+    panel = dataclasses.replace(SMALL.panel, filter_cycle=())
+    camera = dataclasses.replace(SMALL, panel=panel, sensor=Sensor(*sensor, 1.55e-6))
+    mask = weights(camera)
+    mask = mask + mask.flip(0)
+    mask = (mask + mask.flip(1)) / 4
+    simulation = Algorithm1(camera, SCENE, EMBEDDING, "area", snr_db=math.inf)
+    white = torch.ones(1, 14, 14, dtype=torch.float64)
+    image = simulation(white, simulation.psf(mask))[0]
+    assert relative(image.flip(0), image) < 1e-9
+    assert relative(image.flip(1), image) < 1e-9
+
+
+@pytest.mark.slow
+def test_noise_is_as_loud_as_asked_for() -> None:
+    scene = pictures(24, 14, 14)
+    clean = Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.inf)
+    psf = clean.psf(weights(SMALL))
+    wanted = clean(scene, psf)
+    for snr_db in (10.0, 40.0):
+        noisy = dataclasses.replace(clean, snr_db=snr_db)
+        got = noisy(scene, psf, torch.Generator().manual_seed(3))
+        delivered = 10 * math.log10(float(wanted.square().sum() / (got - wanted).square().sum()))
+        assert delivered == pytest.approx(snr_db, abs=0.3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import torch
 import typer
 from benchmarks import capabilities
 from benchmarks.capabilities import HEADER, Run, green, run
+from tests.benchmarks.conftest import figures_of
 from tests.conftest import pytest_report_header
 from typer.testing import CliRunner
 
@@ -25,12 +25,6 @@ def environment(folder: Path, script: str) -> str:
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     return f"VENV={folder}"
-
-
-def test_report_header_names_the_capability_of_torch() -> None:
-    found = HEADER.match(pytest_report_header())
-    assert found is not None
-    assert found[1] == BEST
 
 
 @pytest.mark.parametrize(
@@ -51,13 +45,15 @@ def test_capability_is_green_if_every_run_passed(runs: list[Run], expected: set[
 @pytest.mark.parametrize(
     ("target", "level"), [("suite-SSE", "default"), ("suite-AVX2", "avx2"), ("pytest", "")]
 )
-def test_suite_runs_with_the_variables_of_the_makefile(
+def test_suite_runs_with_the_variables_of_the_makefile_and_its_header_names_the_capability(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     target: str,
     level: str,
 ) -> None:
+    assert (found := HEADER.match(pytest_report_header()))
+    assert found[1] == BEST
     monkeypatch.delenv("ATEN_CPU_CAPABILITY", raising=False)
     script = 'echo "torch: ${ATEN_CPU_CAPABILITY:-BEST}, threads: 1"; echo "asked: $*"'
     done = run(target, environment(tmp_path, script))
@@ -90,7 +86,7 @@ def test_count_of_green_capabilities_is_recorded(
     done = CliRunner().invoke(app, ["--figures", str(record)])
     assert done.exit_code == (failing is not None)
     assert "not shown here: AVX512" in done.output
-    figures = {name: each["value"] for name, each in json.loads(record.read_text()).items()}
+    figures = figures_of(record)
     assert figures.pop("capabilities_green") == count
     # What fails has no cost.
     cost = {"make_test_wall_s": 600.0, "make_test_user_cpu_s": 700.0}

@@ -20,7 +20,6 @@ SCENE, EMBEDDING, SIDE, BINNING = (8, 6), (10, 9), 2, (3, 2)
 
 
 def random_psf(generator: torch.Generator, embedding: tuple[int, int] = EMBEDDING) -> Tensor:
-    """Of few bright samples, as a sparse mask has."""
     samples = psf_samples(SCENE, embedding, side=SIDE, binning=BINNING)
     return torch.rand(samples, generator=generator) ** 8
 

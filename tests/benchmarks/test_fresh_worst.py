@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from benchmarks.privacy import fresh_worst
 from benchmarks.privacy.fresh_worst import FORM_NAMES, Collector, measure
 from benchmarks.privacy.keys.scenes import load_scenes
+from tests.benchmarks.conftest import figures_of
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.demo_data import FRESH
@@ -57,7 +57,7 @@ def test_rows_are_attacked_once_and_the_worst_is_recorded(
         measure(data=tmp_path, work=tmp_path / "work", masks=60, figures=figures)
     # Two forms, four questions without faces, three families: each once.
     assert len(tried) == 24
-    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    record = figures_of(figures)
     assert record == {
         "fresh_worst_advantage_upper": pytest.approx(0.75, abs=0.001),
         "fresh_worst_masks": 60,

@@ -17,7 +17,6 @@ Leak = Callable[[int, dict[str, Any], list[tuple[str, str]]], None]
 
 
 def answers(leak: Leak | None = None) -> tuple[list[Answer], np.ndarray[Any, np.dtype[np.int64]]]:
-    """As a daemon gives them, with a leak."""
     random = np.random.default_rng(1)
     labels = two_scenes(COUNT, seed=1)
     made = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import torch
 from benchmarks.privacy.keys import served
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.past import Findings, past_of
+from tests.benchmarks.conftest import figures_of
 from tests.unit.server.conftest import make_fresh_bundle
 
 from veilcam_server.demo_data import load_digits
@@ -23,10 +23,6 @@ def bundle_file(tmp_path: Path) -> Path:
     path = tmp_path / "fresh.veilcam"
     write_bundle(path, make_fresh_bundle())
     return path
-
-
-def figures_of(path: Path) -> dict[str, float]:
-    return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}
 
 
 @pytest.mark.thorough

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,9 @@ import pytest
 import torch
 import typer
 from benchmarks.privacy.keys import white
-from benchmarks.privacy.keys.released import (
-    CAPTURES,
-    Camera,
-    Floats32,
-    collect,
-)
+from benchmarks.privacy.keys.released import CAPTURES, Camera, Floats32, collect
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes, Stock
+from tests.benchmarks.conftest import figures_of
 from tests.unit.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.source import Mask
@@ -35,8 +30,6 @@ def stock(classes: int) -> Stock:
 
 
 class Watched(Camera):
-    """Remembers what it was shown."""
-
     shown: list[list[Scene]]
 
     def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:
@@ -89,7 +82,7 @@ def test_rows_are_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     white.collect_command(work, masks=100, bundle=bundle, figures=figures)
 
     white.attack_command(work, masks=100, epochs=1, figures=figures)
-    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    record = figures_of(figures)
     assert {f"white_{each}_auc_upper" for each in ("presence", "linkage")} <= record.keys()
     assert "white_digit_advantage_upper" in record
     assert record["white_mask_ms"] > 0

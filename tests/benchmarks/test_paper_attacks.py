@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import typer
 from benchmarks.privacy.paper import attributes, convex, generator, masks
-from benchmarks.privacy.paper.cells import (
-    Cells,
-    Mean,
-    difference,
-    mean,
-    proven,
-    published,
-)
+from benchmarks.privacy.paper.cells import Cells, Mean, difference, mean, proven, published
 from benchmarks.privacy.paper.convex_attack import ConvexAttack, tune
-from benchmarks.privacy.paper.generator_attack import (
-    GeneratorTrial,
-)
+from benchmarks.privacy.paper.generator_attack import GeneratorTrial
+from tests.benchmarks.conftest import figures_of
 
 from veilcam_optics.camera.geometry import Scene
 
@@ -47,10 +37,6 @@ def data(tmp_path: Path) -> Path:
         smiling=smiling.astype(np.uint8),
     )
     return folder
-
-
-def figures_of(path: Path) -> dict[str, Any]:
-    return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}
 
 
 def refuse(*_: object) -> None:

@@ -15,12 +15,7 @@ import pytest
 from benchmarks.figures import Origin
 from benchmarks.paper import __main__ as paper
 from benchmarks.paper import runner as run_module
-from benchmarks.paper.grid import (
-    TABLES,
-    Cell,
-    find_table,
-    load_paper,
-)
+from benchmarks.paper.grid import TABLES, Cell, find_table, load_paper
 from benchmarks.paper.pictures import Pictures
 from benchmarks.paper.report import write_report
 from benchmarks.paper.results import (
@@ -32,6 +27,7 @@ from benchmarks.paper.results import (
     record_cells,
     save_finished,
 )
+from tests.benchmarks.conftest import figures_of
 from typer.testing import CliRunner, Result
 
 from veilcam_optics.plan.check import Check
@@ -45,8 +41,6 @@ Run = Callable[..., Result]
 
 @pytest.fixture
 def run(digit_folder: Path, tmp_path: Path) -> Run:
-    """Table ``mnist`` with more options."""
-
     def invoke(*options: object) -> Result:
         command = ["mnist", "--data", digit_folder, "--work", tmp_path / "work", *options]
         return CliRunner().invoke(paper.app, [str(word) for word in command])
@@ -238,7 +232,7 @@ def test_change_records_the_classifier_that_validates_best(tmp_path: Path) -> No
     # What it tests at does not choose it.
     results[1] = results[1].model_copy(update={"test_accuracy": 0.999})
     record_cells(path, results)
-    found = {name: figure["value"] for name, figure in json.loads(path.read_text()).items()}
+    found = figures_of(path)
     assert found == {
         "robust_shift": 96.0,
         "robust_shift_CNN16_learned": 96.0,

@@ -18,9 +18,10 @@ RULES = ROOT / "deploy" / "prometheus" / "veilcam.rules.yml"
 PROMTOOL = shutil.which("promtool")
 
 
-def test_rules_are_of_metrics_that_the_daemon_has() -> None:
+def test_rules_are_of_metrics_and_states_that_there_are_each_with_its_trouble() -> None:
     page = (ROOT / "docs" / "api.md").read_text()
     known = set(re.findall(r"`(veilcam_[a-z_]+)`", page))
+    assert list(TROUBLE) == re.findall(r"- alert: (\w+)", RULES.read_text())
     asked = {
         re.sub(r"_bucket$", "", name)
         for line in RULES.read_text().splitlines()
@@ -29,17 +30,14 @@ def test_rules_are_of_metrics_that_the_daemon_has() -> None:
     }
     assert asked
     assert asked <= known
-
-
-def test_rules_are_of_states_that_there_are() -> None:
     named = re.findall(r'state=~"([a-z|-]+)"', RULES.read_text())
     assert named
     assert set("|".join(named).split("|")) <= set(get_args(State))
 
 
-ALERTS = re.findall(r"- alert: (\w+)", RULES.read_text())
 CAMERA = 'job="veilcam", instance="camera"'
 SECONDS = f'veilcam_http_request_duration_seconds_bucket{{{CAMERA}, route="/v1/status"'
+FIRING = 'count by (alertname) (ALERTS{alertstate="firing"})'
 QUIET = {
     f"up{{{CAMERA}}}": "1x180",
     f'veilcam_state{{{CAMERA}, state="ready"}}': "1x180",
@@ -66,41 +64,20 @@ TROUBLE: dict[str, tuple[str, str]] = {
 """The one series in which each trouble differs from that."""
 
 
-def test_every_alert_has_its_trouble() -> None:
-    assert list(TROUBLE) == ALERTS
-
-
 @pytest.mark.skipif(PROMTOOL is None, reason="no promtool: apt install prometheus has it")
 def test_each_alert_rings_in_its_trouble_alone(tmp_path: Path) -> None:
     assert PROMTOOL is not None
     cases: list[dict[str, Any]] = []
     for trouble in (None, *TROUBLE):
-        series = dict(QUIET)
-        if trouble is not None:
-            name, values = TROUBLE[trouble]
-            series[name] = values
-        cases.append(
-            {
-                "interval": "1m",
-                "input_series": [
-                    {"series": name, "values": values} for name, values in series.items()
-                ],
-                "promql_expr_test": [
-                    {
-                        "expr": 'count by (alertname) (ALERTS{alertstate="firing"})',
-                        "eval_time": "2h",
-                        "exp_samples": []
-                        if trouble is None
-                        else [{"labels": f'{{alertname="{trouble}"}}', "value": 1}],
-                    }
-                ],
-            }
-        )
+        series = QUIET | dict([TROUBLE[trouble]] if trouble else [])
+        rings = [{"labels": f'{{alertname="{trouble}"}}', "value": 1}] if trouble else []
+        given = [{"series": name, "values": values} for name, values in series.items()]
+        asked = {"expr": FIRING, "eval_time": "2h", "exp_samples": rings}
+        cases.append({"interval": "1m", "input_series": given, "promql_expr_test": [asked]})
     # JSON is YAML.
     file = tmp_path / "tests.yml"
-    file.write_text(
-        json.dumps({"rule_files": [str(RULES)], "evaluation_interval": "1m", "tests": cases})
-    )
+    tests = {"rule_files": [str(RULES)], "evaluation_interval": "1m", "tests": cases}
+    file.write_text(json.dumps(tests))
     for command in (("check", "rules", str(RULES)), ("test", "rules", str(file))):
         done = subprocess.run([PROMTOOL, *command], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr

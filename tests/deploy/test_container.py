@@ -16,7 +16,6 @@ TEXT = (ROOT / "deploy" / "Containerfile").read_text()
 
 
 def words(instruction: str) -> list[str]:
-    """The list that an instruction gives."""
     [listed] = re.findall(rf"(?m)^{instruction} (\[.*\])$", TEXT)
     given: list[str] = json.loads(listed)
     return given

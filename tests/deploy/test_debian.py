@@ -70,7 +70,9 @@ def test_scripts_are_sh_and_stop_at_what_fails(name: str) -> None:
     subprocess.run(["sh", "-n", str(path)], check=True)
 
 
-def test_each_python_package_is_listed_once_with_its_licence(release: Path) -> None:
+def test_each_python_package_is_listed_once_and_must_have_a_licence(
+    release: Path,
+) -> None:
     bill = json.loads(json.dumps(build.bill_of_materials(release, "1.2.3")))
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
     told = {each["purl"]: each["licenses"][0]["license"]["name"] for each in bill["components"]}
@@ -83,9 +85,6 @@ def test_each_python_package_is_listed_once_with_its_licence(release: Path) -> N
     text = build.rights(release, own)
     assert "py*/one*\nCopyright: Ann\nLicense: MIT\n" in text
     assert "py*/two?more*" in text
-
-
-def test_a_package_that_names_no_licence_ends_the_build(release: Path) -> None:
     wheel(release / "py311", "three", "3.0")
     with pytest.raises(BuildError, match="three names no licence"):
         build.bill_of_materials(release, "1.2.3")
@@ -101,14 +100,16 @@ def test_a_release_is_called_by_what_is_in_it(release: Path) -> None:
     assert len({before, after, build.digest(release)}) == 3
 
 
+def packed(folder: Path, architecture: Architecture) -> Path:
+    build.lay_out(folder / "stage", "1.2.3")
+    return build.close(folder / "stage", "1.2.3", architecture, folder / "out")
+
+
 @packs
+@pytest.mark.usefixtures("release")
 @pytest.mark.parametrize("architecture", list(Architecture))
-def test_the_package_holds_what_it_says(
-    release: Path, tmp_path: Path, architecture: Architecture
-) -> None:
-    stage = tmp_path / "stage"
-    build.lay_out(stage, "1.2.3")
-    file = build.close(stage, "1.2.3", architecture, tmp_path / "out")
+def test_the_package_holds_what_it_says(tmp_path: Path, architecture: Architecture) -> None:
+    file = packed(tmp_path, architecture)
     assert file.name == f"veilcam_1.2.3_{architecture.value}.deb"
 
     def said(*command: str) -> str:
@@ -122,10 +123,8 @@ def test_the_package_holds_what_it_says(
     listed = said("--contents", str(file)).splitlines()
     rows = {line.split()[5].removeprefix("."): line.split()[:2] for line in listed}
     assert {owner for _, owner in rows.values()} == {"root/root"}
-    for place in FILES.values():
-        assert rows[f"/{place}"][0] == "-rw-r--r--", place
-    for place in PROGRAMS.values():
-        assert rows[f"/{place}"][0] == "-rwxr-xr-x", place
+    for places, mode in ((FILES, "-rw-r--r--"), (PROGRAMS, "-rwxr-xr-x")):
+        assert {rows[f"/{place}"][0] for place in places.values()} == {mode}
     assert rows["/etc/veilcam/house/"][0] == "drwx------"
     for name in COMMANDS:
         assert rows[f"/usr/bin/{name}"][0].startswith("l")
@@ -137,10 +136,9 @@ def test_the_package_holds_what_it_says(
 @packs
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("lintian") is None, reason="apt install lintian")
-def test_lintian_finds_nothing_in_what_is_laid_out(release: Path, tmp_path: Path) -> None:
-    stage = tmp_path / "stage"
-    build.lay_out(stage, "1.2.3")
-    file = build.close(stage, "1.2.3", Architecture.AMD64, tmp_path / "out")
+@pytest.mark.usefixtures("release")
+def test_lintian_finds_nothing_in_what_is_laid_out(tmp_path: Path) -> None:
+    file = packed(tmp_path, Architecture.AMD64)
     command = ["lintian", "--allow-root", "--tag-display-limit", "0", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     # What is overridden because of wheels has no use where there is none.
@@ -185,10 +183,8 @@ def test_a_command_runs_from_the_release_in_use_whatever_the_environment_says(
             env={"PYTHONPATH": str(other)},
             cwd=other,
         )
-        assert done.stdout.split()[1:] == [
-            str(number),
-            str(tmp_path / f"releases/{number}/{minor}/needed.py"),
-        ]
+        needed = tmp_path / f"releases/{number}/{minor}/needed.py"
+        assert done.stdout.split()[1:] == [str(number), str(needed)]
         room = {"veilcam": "client", "veilcamd": "server", "veilcam-mqtt": "mqtt"}[name]
         assert done.stdout.startswith(f"veilcam_{room}.cli")
     assert text.startswith("#!/usr/bin/python3 -Iu\n")

@@ -25,7 +25,7 @@ class Device:
         for place in ("/usr/lib/veilcam", "/var/lib/veilcam-release"):
             (self.root / place.lstrip("/")).parent.mkdir(parents=True, exist_ok=True)
             text = text.replace(f"={place}", f"={self.root}{place}")
-        self.script = self.root / "release"
+        self.script, self.state = self.root / "release", self.root / "var/lib/veilcam-release"
         self.script.write_text(text)
 
     def run(self, what: str) -> str:
@@ -57,22 +57,20 @@ class Device:
         return (self.state / "current").readlink().name
 
     @property
-    def state(self) -> Path:
-        return self.root / "var/lib/veilcam-release"
-
-    @property
     def kept(self) -> set[str]:
         return {path.name for path in (self.root / "usr/lib/veilcam/releases").iterdir()}
 
 
 @pytest.fixture
 def device(tmp_path: Path) -> Device:
-    return Device(tmp_path)
+    """A device whose first release was ready."""
+    made = Device(tmp_path)
+    made.install("1")
+    made.start(ready=True)
+    return made
 
 
 def test_a_release_that_does_not_start_gives_way_to_the_one_before(device: Device) -> None:
-    device.install("1")
-    device.start(ready=True)
     device.install("2", "broken")
     assert device.kept == {"1", "2"}
     assert [device.start(ready=False) for _ in range(TRIES)] == ["2"] * TRIES
@@ -85,8 +83,6 @@ def test_a_release_that_does_not_start_gives_way_to_the_one_before(device: Devic
 
 
 def test_a_release_that_starts_at_last_stays(device: Device) -> None:
-    device.install("1")
-    device.start(ready=True)
     device.install("2")
     assert [device.start(ready=False) for _ in range(TRIES - 1)] == ["2"] * (TRIES - 1)
     assert device.start(ready=True) == "2"
@@ -94,14 +90,13 @@ def test_a_release_that_starts_at_last_stays(device: Device) -> None:
     assert {device.start(ready=False) for _ in range(2 * TRIES)} == {"2"}
 
 
-def test_the_first_release_is_tried_for_ever(device: Device) -> None:
+def test_the_first_release_is_tried_for_ever(tmp_path: Path) -> None:
+    device = Device(tmp_path)
     device.install("1")
     assert {device.start(ready=False) for _ in range(3 * TRIES)} == {"1"}
 
 
 def test_what_was_installed_again_has_all_tries_again(device: Device) -> None:
-    device.install("1")
-    device.start(ready=True)
     device.install("2", "broken")
     for _ in range(TRIES + 1):
         device.start(ready=False)
@@ -111,20 +106,16 @@ def test_what_was_installed_again_has_all_tries_again(device: Device) -> None:
 
 
 def test_installing_leaves_alone_what_runs(device: Device) -> None:
-    device.install("1", "first")
-    device.start(ready=True)
     running = device.root / "usr/lib/veilcam/releases/1/code"
     before = running.stat().st_ino
     device.install("2", "second")
-    assert (running.read_text(), running.stat().st_ino) == ("first", before)
+    assert (running.read_text(), running.stat().st_ino) == ("program", before)
 
 
 @pytest.mark.parametrize("left", [b"", b"tr", b"\0\0\0\0", b"\n" * 100])
 def test_a_count_that_a_power_cut_left_keeps_nothing_from_starting(
     device: Device, left: bytes
 ) -> None:
-    device.install("1")
-    device.start(ready=True)
     device.install("2")
     (device.state / "tries").write_bytes(left)
     assert device.start(ready=True) in {"1", "2"}
@@ -132,8 +123,6 @@ def test_a_count_that_a_power_cut_left_keeps_nothing_from_starting(
 
 
 def test_removing_leaves_nothing(device: Device) -> None:
-    device.install("1")
-    device.start(ready=True)
     device.install("2")
     device.run("remove")
     assert not device.state.exists()

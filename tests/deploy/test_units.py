@@ -30,6 +30,10 @@ def analyze(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+def fields(name: str) -> dict[str, str]:
+    return dict(re.findall(r"(?m)^(\w+)=(.*)$", (DEPLOY / name).read_text()))
+
+
 @pytest.fixture
 def units(tmp_path: Path) -> Path:
     """The units in a folder, with a program that exists."""
@@ -86,16 +90,13 @@ def test_the_bridge_to_a_house_has_a_network_and_little_else(units: Path) -> Non
 def test_the_settings_of_the_bridge_that_come_along_are_settings() -> None:
     text = (DEPLOY / "mqtt.env").read_text()
     given = set(re.findall(r"(?m)^#?(VEILCAM_\w+)=", text))
-    command = get_command(mqtt)
-    known = {each.envvar for each in command.params}
     assert len(given) > 3
-    assert given <= known
+    assert given <= {each.envvar for each in get_command(mqtt).params}
 
 
 @pytest.mark.parametrize("name", ["veilcamd", "veilcam-mqtt"])
 def test_a_service_that_fails_is_started_again_for_ever(name: str) -> None:
-    unit = (DEPLOY / f"{name}.service").read_text()
-    given = dict(re.findall(r"(?m)^(\w+)=(.*)$", unit))
+    given = fields(f"{name}.service")
     assert (given["Restart"], given["StartLimitIntervalSec"]) == ("always", "0")
     assert float(given["RestartSec"]) >= 5
     # Debian 12 has systemd 252, which knows neither.
@@ -111,9 +112,12 @@ def test_no_path_of_its_own_slips_through_the_rule_for_everything() -> None:
     paths = {name: value.split() for name, value in re.findall(r"(?m)^(\w+Paths)=(.*)$", unit)}
     assert paths["NoExecPaths"][0] == "/"
     assert paths["BindReadOnlyPaths"] == paths["ExecPaths"]
-    state = re.search(r"(?m)^StateDirectory=(.*)$", unit)
-    assert state is not None
-    assert {f"/var/lib/{state[1]}", "/tmp", "/var/tmp", "/dev/shm"} <= set(paths["NoExecPaths"])
+    assert {
+        f"/var/lib/{fields('veilcamd.service')['StateDirectory']}",
+        "/tmp",
+        "/var/tmp",
+        "/dev/shm",
+    } <= set(paths["NoExecPaths"])
 
 
 def test_every_setting_is_explained_in_the_file_that_comes_along() -> None:
@@ -134,11 +138,10 @@ def test_a_value_in_that_file_may_stay_or_be_taken_into_force(
         monkeypatch.setenv(name, value)
     read = Settings()  # type: ignore[call-arg]
     assert {name.removeprefix("VEILCAM_").lower() for name in given} == read.model_fields_set
-    examples = {"panel_tab", "owner_keys", "rotation", "hosts"}
     differ = {
         name for name in Settings.model_fields if getattr(read, name) != getattr(untouched, name)
     }
-    assert differ == examples
+    assert differ == {"panel_tab", "owner_keys", "rotation", "hosts"}
     assert len(given) > 30
 
 
@@ -153,7 +156,7 @@ def test_one_port_everywhere() -> None:
     assert f"ListenStream=127.0.0.1:{DEFAULT_PORT}\n" in (DEPLOY / "veilcamd.socket").read_text()
     avahi = ET.parse(DEPLOY / "veilcam.avahi")
     assert avahi.findtext("service/port") == str(DEFAULT_PORT)
-    resolved = dict(re.findall(r"(?m)^(\w+)=(.*)$", (DEPLOY / "veilcam.dnssd").read_text()))
+    resolved = fields("veilcam.dnssd")
     assert resolved["Port"] == str(DEFAULT_PORT)
     # What `veilcam discover` looks for.
     assert f"{avahi.findtext('service/type')}.local." == f"{resolved['Type']}.local." == TYPE

@@ -42,7 +42,6 @@ LONGEST = 1200
 
 
 def page(found: Mapping[str, Any]) -> str:
-    """Return the page of an OpenAPI document."""
     parts = [OPENING]
     for tag in found["tags"]:
         parts.append(f"## {tag['name']}\n\n{tag['description']}\n")
@@ -82,7 +81,6 @@ def _answer(content: Mapping[str, Any]) -> str:
 
 
 def present() -> dict[str, Any]:
-    """The document of the API as it is."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         write_scene(folder / "scene.npy", load_digits().images[0])

@@ -15,7 +15,6 @@ Lead: TypeAlias = Callable[[FakeCamera], None]
 
 @pytest.fixture
 def lead_to(monkeypatch: pytest.MonkeyPatch) -> Lead:
-    """Have every camera at the usual URL be that of the test."""
     monkeypatch.delenv("VEILCAM_URL", raising=False)
 
     def lead(fake: FakeCamera) -> None:

@@ -1,4 +1,4 @@
-"""Every script of ``examples/`` runs as it says, against a simulated camera."""
+"""Examples, and the blocks of the SDK's page: they run against a simulated camera."""
 
 from __future__ import annotations
 
@@ -49,8 +49,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @dataclass
 class Run:
-    """Runs an example with arguments, and returns the lines that it prints."""
-
     monkeypatch: pytest.MonkeyPatch
     capsys: pytest.CaptureFixture[str]
 
@@ -67,7 +65,6 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def ask(run: Run, served: Served, lead_to: Lead) -> Run:
-    """Run examples that ask the camera."""
     lead_to(served.fake)
     return run
 
@@ -124,3 +121,22 @@ def test_fit_bundle(run: Run, tmp_path: Path) -> None:
 def test_every_example_has_a_test() -> None:
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     assert {path.stem for path in EXAMPLES.glob("*.py")} <= tested
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "sdk.md"
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.numerical
+def test_blocks_run(lead_to: Lead, capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(BLOCKS) == 7
+    with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
+        lead_to(fake)
+        names: dict[str, object] = {}
+        for block in BLOCKS:
+            exec(compile(block, str(PAGE), "exec"), names)
+    assert str(names["label"]).isdigit()
+    printed = capsys.readouterr().out
+    assert "events were missed" in printed
+    assert "application/json" in printed

@@ -78,7 +78,6 @@ def machine(tmp_path: Path) -> Machine:
 
 @pytest.fixture
 def index(tmp_path: Path) -> Iterator[str]:
-    """A package index on the loopback that has torch."""
     (tmp_path / "index" / "torch").mkdir(parents=True)
     handler = partial(Quiet, directory=str(tmp_path / "index"))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
@@ -90,33 +89,23 @@ def index(tmp_path: Path) -> Iterator[str]:
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder without a log."""
-
     def log_message(self, *arguments: object) -> None:
         """Drop it."""
-
-
-def marked(script: str) -> str:
-    """The script, told apart from others by a comment."""
-    return script + "# taken\n"
 
 
 def test_the_first_python_that_runs_and_is_recent_is_taken(machine: Machine) -> None:
     machine.add("python3.13", SHIM)
     machine.add("python3.12", OLD)
-    machine.add("python3.11", marked(GOOD))
+    machine.add("python3.11", GOOD + "# taken\n")
     machine.add("python3", GOOD)
     ended = machine.install("TORCH_INDEX=")
     assert ended.returncode == 0, ended.stderr
     assert "# taken" in (machine.root / "environment" / "bin" / "python").read_text()
     assert machine.installed().endswith("install --editable .[all,dev]\n")
-
-
-def test_another_python_can_be_named(machine: Machine) -> None:
-    machine.add("python3.13", GOOD)
-    named = machine.add("mine", marked(GOOD))
+    named = machine.add("mine", GOOD + "# named\n")
+    shutil.rmtree(machine.root / "environment")
     assert machine.install("TORCH_INDEX=", f"PYTHON={named}").returncode == 0
-    assert "# taken" in (machine.root / "environment" / "bin" / "python").read_text()
+    assert "# named" in (machine.root / "environment" / "bin" / "python").read_text()
 
 
 @pytest.mark.parametrize(

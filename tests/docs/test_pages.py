@@ -1,15 +1,19 @@
-"""The pages name commands and options that exist, and lead where there is something to read."""
+"""Pages: commands, options, links, figures, equations, and ways to install."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from benchmarks.tables.pages import PAGES as WITH_TABLES
+from benchmarks.tables.pages import with_tables
 from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
@@ -60,7 +64,6 @@ def commands(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def resolved(name: str, words: list[str]) -> tuple[Command, list[str]]:
-    """The command that the words name, and what they say after it."""
     command = program(name)
     while isinstance(command, TyperGroup) and words:
         assert words[0] in command.commands, f"{name} has no command {words[0]}"
@@ -122,3 +125,72 @@ def test_links_lead_somewhere(name: str) -> None:
         target = page.parent / path if path else page
         assert target.exists(), path
         assert not anchor or anchor in anchors(target), f"{path}#{anchor}"
+
+
+def test_figures_are_those_of_the_result_files() -> None:
+    for name in WITH_TABLES:
+        page = (ROOT / name).read_text()
+        assert with_tables(name, page) == page, "run python -m benchmarks.tables"
+
+
+def test_every_dependency_has_its_reason() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = list(project["dependencies"])
+    for extra in project["optional-dependencies"].values():
+        wanted += extra
+    rows = (ROOT / "docs" / "dependencies.md").read_text()
+    for requirement in wanted:
+        name = re.split(r"[\[<>=]", requirement)[0]
+        assert name == "veilcam" or re.search(rf"\b{re.escape(name)}\b", rows), name
+
+
+FROM_AN_INDEX = re.compile(r"""pip3? install [^\n`]*?(?<![\w./+-])["']?veilcam(?![\w-])""")
+"""Veilcam is on no package index."""
+
+
+def test_installing_from_an_index_is_told_nowhere() -> None:
+    listed = subprocess.run(
+        ["git", "ls-files", "*.py", "*.md", "*.toml", "*.sh", "*.html", "*.js", "*.service"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    told = []
+    for name in listed.stdout.split():
+        # A message may go on in the next line of the code.
+        text = re.sub(r'"\s*\n\s*f?"', "", (ROOT / name).read_text())
+        told += [f"{name}: {found[0]}" for found in FROM_AN_INDEX.finditer(text)]
+    assert told == []
+    for wrong in ("veilcam", "'veilcam[mqtt]'", "-U veilcam[x]"):
+        assert FROM_AN_INDEX.search(f"pip install {wrong}")
+    for right in ("-e '.[mqtt]'", "./veilcam-1.whl"):
+        assert not FROM_AN_INDEX.search(f"pip install {right}")
+
+
+MATHEMATICS = (ROOT / "docs" / "mathematics.md").read_text()
+NUMBER = re.compile(r" {6}\((\d+)\)$", re.MULTILINE)
+CITED = re.compile(r"equation\s+\((\d+)\)")
+NAMED = re.compile(r"\((\d+)\)")
+
+
+def test_equations_are_numbered_in_order() -> None:
+    numbers = [int(number) for number in NUMBER.findall(MATHEMATICS)]
+    assert len(numbers) >= 10
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_every_equation_that_the_mathematics_name_is_there() -> None:
+    text = "\n".join(line for line in MATHEMATICS.splitlines() if not line.startswith("    "))
+    assert set(NAMED.findall(text)) <= set(NUMBER.findall(MATHEMATICS))
+
+
+def test_every_equation_that_the_code_cites_is_there() -> None:
+    cited = {
+        path: CITED.findall(path.read_text())
+        for path in (ROOT / "optics" / "veilcam_optics").rglob("*.py")
+    }
+    numbers = set(NUMBER.findall(MATHEMATICS))
+    assert sum(map(len, cited.values())) >= 6
+    for path, found in cited.items():
+        assert set(found) <= numbers, path

@@ -1,4 +1,4 @@
-"""The reference is what the code is; the site holds all of it, and fetches nothing."""
+"""Reference, drawings and site: as the code is, and fetching nothing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import re
 import runpy
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from veilcam_optics.camera.geometry import Camera
 from veilcam_server.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,3 +56,20 @@ def test_the_site_is_built_without_a_warning_and_fetches_nothing(tmp_path: Path)
         assert fetched == [], page.name
     index = json.loads((tmp_path / "search" / "search_index.json").read_text())
     assert any("commands" in entry["location"] for entry in index["docs"])
+
+
+SCRIPT = runpy.run_path(str(ROOT / "docs" / "drawings.py"))
+
+
+@pytest.mark.parametrize("name", ["stack.svg", "wires.svg"])
+def test_drawings_are_as_the_code_has_it(name: str) -> None:
+    text = (ROOT / "docs" / "images" / name).read_text()
+    assert text == SCRIPT["drawings"]()[name], "run python docs/drawings.py"
+    ET.fromstring(text)
+
+
+def test_another_camera_has_other_dimensions() -> None:
+    drawn = SCRIPT["stack"](replace(Camera(), distance=0.006))
+    assert "6 mm, front of the sensor" in drawn
+    drawn = SCRIPT["wires"]({"data_line": 24, "reset_line": 25})
+    assert drawn.index("GPIO 24") < drawn.index("GPIO 25")

@@ -15,13 +15,11 @@ RECORDS = sorted((ROOT / "benchmarks" / "results").glob("*.json"))
 
 
 def git(*words: str, given: str = "") -> str:
-    """Return what a git command prints."""
     command = ["git", "-C", str(ROOT), *words]
     return subprocess.run(command, input=given, check=True, capture_output=True, text=True).stdout
 
 
 def figures(record: Path) -> dict[str, dict[str, str]]:
-    """Return the figures of a record by name."""
     content = json.loads(record.read_text())
     return {
         name: each for name, each in content.items() if isinstance(each, dict) and "value" in each

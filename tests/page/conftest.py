@@ -18,7 +18,9 @@ import pytest
 from playwright.sync_api import (
     Browser,
     BrowserContext,
+    ConsoleMessage,
     Page,
+    Request,
     StorageState,
     ViewportSize,
     expect,
@@ -48,7 +50,6 @@ nothing takes the daemon's while it is down."""
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
     while True:
         with socket.socket() as probe, suppress(OSError):
             probe.bind(("127.0.0.1", port := random.choice(PORTS)))
@@ -117,7 +118,6 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
-    """Cookie and storage of a browser that gave the token once."""
     context = chromium.new_context()
     page = context.new_page()
     page.set_default_timeout(PATIENCE)
@@ -131,9 +131,27 @@ def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
 
 
 def log_in(page: Page, token: str) -> None:
-    """Give a token as a person does."""
     page.get_by_label("Token").fill(token)
     page.get_by_role("button", name="Log in").click()
+
+
+def confirm(page: Page, asked: str, answer: str | None = None) -> None:
+    """Press a button that asks again, and say what a person says to that."""
+    page.get_by_role("button", name=asked).click()
+    page.get_by_role("dialog").get_by_role("button", name=answer or asked).click()
+
+
+def begin_calibration(page: Page) -> None:
+    """Begin one of so many exposures that it is not over before it is looked at, or ended."""
+    page.get_by_label("Exposures for one measurement").fill("100")
+    page.get_by_role("button", name="Begin").click()
+
+
+def end_calibration(page: Page) -> None:
+    """End it, and wait until the camera is ready."""
+    confirm(page, "End it")
+    expect(page.get_by_text("The calibration was ended")).to_be_visible()
+    expect(page.locator("#state")).to_have_text("Ready")
 
 
 def listening(page: Page) -> None:
@@ -157,27 +175,21 @@ def open_page(
     outside: list[str] = []
     errors: list[str] = []
 
+    def asked(request: Request) -> None:
+        own = urlsplit(request.url).netloc == urlsplit(daemon.url).netloc
+        if not (own or request.url.startswith("data:")):
+            outside.append(request.url)
+
+    def told(message: ConsoleMessage) -> None:
+        # That an answer was a problem is told by the page; what its policy keeps from it is not.
+        if message.type == "error" and "Failed to load resource" not in message.text:
+            errors.append(message.text)
+
     def watch(page: Page) -> None:
         page.set_default_timeout(PATIENCE)
-        page.on(
-            "request",
-            lambda asked: (
-                None
-                if urlsplit(asked.url).netloc == urlsplit(daemon.url).netloc
-                or asked.url.startswith("data:")
-                else outside.append(asked.url)
-            ),
-        )
+        page.on("request", asked)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        # That an answer was a problem is told by the page; what its policy keeps from it is not.
-        page.on(
-            "console",
-            lambda told: (
-                errors.append(told.text)
-                if told.type == "error" and "Failed to load resource" not in told.text
-                else None
-            ),
-        )
+        page.on("console", told)
 
     def opened(path: str = "/", *, known: bool = True, axe: bool = False, **settings: Any) -> Page:
         context = chromium.new_context(

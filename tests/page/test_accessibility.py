@@ -7,7 +7,7 @@ from typing import Literal
 
 import pytest
 from playwright.sync_api import Page, ViewportSize, expect
-from tests.page.conftest import PHONE, WIDE, Daemon, Open
+from tests.page.conftest import PHONE, WIDE, Daemon, Open, begin_calibration, end_calibration
 
 pytestmark = pytest.mark.page
 
@@ -30,7 +30,6 @@ Record = Callable[[str, object], None]
 
 
 def violations(page: Page) -> list[str]:
-    """What axe-core finds, in words."""
     # Without the places of what is well, which take most of the time on a long page.
     found = page.evaluate("async () => (await axe.run({ resultTypes: ['violations'] })).violations")
     return [
@@ -73,15 +72,10 @@ def test_axe_finds_nothing_in_what_comes_and_goes(
     found += violations(page)
     page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
     page.goto(f"{daemon.url}/#calibration")
-    # So many that it is not over before it is looked at.
-    page.get_by_label("Exposures for one measurement").fill("100")
-    page.get_by_role("button", name="Begin").click()
+    begin_calibration(page)
     expect(page.get_by_role("button", name="End it")).to_be_visible()
     found += violations(page)
-    page.get_by_role("button", name="End it").click()
-    page.get_by_role("dialog").get_by_role("button", name="End it").click()
-    expect(page.get_by_text("The calibration was ended")).to_be_visible()
-    expect(page.locator("#state")).to_have_text("Ready")
+    end_calibration(page)
     page.get_by_role("link", name="Live").click()
     page.get_by_role("button", name="Take one").click()
     expect(page.locator(".picture canvas")).to_be_visible()

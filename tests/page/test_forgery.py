@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, StorageState
+from playwright.sync_api import Browser, Page, StorageState
 from tests.page.conftest import Daemon
 
 from veilcam_client import RotationOff
@@ -61,6 +61,9 @@ async ({url, half}) => {
 """
 
 
+Server = tuple[str, list[str]]
+
+
 class _Page(http.server.BaseHTTPRequestHandler):
     cookies: list[str]
 
@@ -80,7 +83,7 @@ class _Page(http.server.BaseHTTPRequestHandler):
 
 
 @contextmanager
-def serving() -> Iterator[tuple[str, list[str]]]:
+def serving() -> Iterator[Server]:
     """A server on another port of this host, and the cookies that browsers sent to it."""
     cookies: list[str] = []
     handler = type("Page", (_Page,), {"cookies": cookies})
@@ -93,23 +96,29 @@ def serving() -> Iterator[tuple[str, list[str]]]:
 
 
 @pytest.fixture
-def other() -> Iterator[tuple[str, list[str]]]:
+def other() -> Iterator[Server]:
     with serving() as found:
         yield found
 
 
+@pytest.fixture
+def page(chromium: Browser, logged_in: StorageState, other: Server) -> Iterator[Page]:
+    """The other server's page, in a browser that is logged in."""
+    context = chromium.new_context(storage_state=logged_in)
+    page = context.new_page()
+    page.goto(other[0])
+    yield page
+    context.close()
+
+
 def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
-    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
+    daemon: Daemon, logged_in: StorageState, page: Page
 ) -> None:
-    url, _ = other
     with daemon.camera() as camera:
         # From here on a mask changes by request alone; a change that was under way is over.
         camera.set_rotation(RotationOff())
         before = camera.rotate().epoch
     half = json.loads(json.dumps(logged_in))["origins"][0]["localStorage"][0]["value"]
-    context = chromium.new_context(storage_state=logged_in)
-    page = context.new_page()
-    page.goto(url)
     # Even with the page's half, were it to know it.
     for known in ("0" * 64, half):
         learned = page.evaluate(ATTEMPTS, {"url": daemon.url, "half": known})
@@ -122,18 +131,14 @@ def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
         page.evaluate(ATTEMPTS, {"url": target, "half": half})
     # Two plain posts and what is read, at least; for the others it asks first whether it may.
     assert sum("veilcam-session" in each for each in cookies) >= 3
-    context.close()
 
 
 def test_a_cookie_that_another_port_was_sent_opens_nothing(
-    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
+    daemon: Daemon, other: Server, page: Page
 ) -> None:
     url, cookies = other
-    context = chromium.new_context(storage_state=logged_in)
-    page = context.new_page()
     page.goto(f"{url}/v1/anything")
-    context.close()
-    stolen = cookies[0]
+    stolen = next(filter(None, cookies))
     assert "veilcam-session" in stolen
     for half in ({}, {"Veilcam-Session": "0" * 64}):
         with httpx.Client(base_url=daemon.url, headers={"Cookie": stolen, **half}) as client:
@@ -141,13 +146,7 @@ def test_a_cookie_that_another_port_was_sent_opens_nothing(
             assert client.post("/v1/rotation/advance").status_code == 401
 
 
-def test_no_page_of_another_site_is_shown_it_in_a_frame(
-    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
-) -> None:
-    url, _ = other
-    context = chromium.new_context(storage_state=logged_in)
-    page = context.new_page()
-    page.goto(url)
+def test_no_page_of_another_site_is_shown_it_in_a_frame(daemon: Daemon, page: Page) -> None:
     page.evaluate(
         """(url) => new Promise((resolve) => {
           const frame = document.createElement("iframe");
@@ -158,4 +157,3 @@ def test_no_page_of_another_site_is_shown_it_in_a_frame(
     (frame,) = page.frames[1:]
     frame.wait_for_load_state("load")
     assert "Veilcam" not in frame.content()
-    context.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, Route, expect
-from tests.page.conftest import Daemon, Open, log_in
+from tests.page.conftest import Daemon, Open, begin_calibration, confirm, end_calibration, log_in
 
 from veilcam_client.wire.bundles import example_bundle
 from veilcam_client.wire.calibration import CalibrationRun
@@ -63,26 +63,19 @@ def test_calibration_asks_for_its_three_scenes_one_after_the_other(open_page: Op
     expect(page.get_by_text("All is measured.")).to_be_visible()
     assert confirmed == list(SCENES)
     expect(page.get_by_role("button", name="It is set")).to_have_count(0)
-    page.get_by_role("button", name="End it").click()
-    page.get_by_role("dialog").get_by_role("button", name="End it").click()
+    confirm(page, "End it")
     expect(page.get_by_text("The calibration was ended, and nothing was changed.")).to_be_visible()
 
 
 def test_a_calibration_of_the_simulated_camera_begins_and_ends(open_page: Open) -> None:
     page = open_page("/#calibration")
-    # So many that it is not over before it is ended.
-    page.get_by_label("Exposures for one measurement").fill("100")
-    page.get_by_role("button", name="Begin").click()
+    begin_calibration(page)
     expect(page.locator("#state")).to_have_text("Calibrating")
     expect(page.get_by_text("Measuring. Leave the scene as it is.")).to_be_visible()
     expect(page.get_by_text(re.compile(r"^\d+ of \d+ exposures$"))).to_be_visible()
-    page.get_by_role("button", name="End it").click()
-    page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
+    confirm(page, "End it", "Cancel")
     expect(page.get_by_role("dialog")).to_have_count(0)
-    page.get_by_role("button", name="End it").click()
-    page.get_by_role("dialog").get_by_role("button", name="End it").click()
-    expect(page.get_by_text("The calibration was ended")).to_be_visible()
-    expect(page.locator("#state")).to_have_text("Ready")
+    end_calibration(page)
 
 
 def test_a_token_is_made_shown_once_used_and_revoked(open_page: Open) -> None:
@@ -103,8 +96,7 @@ def test_a_token_is_made_shown_once_used_and_revoked(open_page: Open) -> None:
     other.get_by_role("link", name="Tokens").click()
     expect(other.get_by_text("This token may not see or make tokens.")).to_be_visible()
 
-    page.get_by_role("button", name="Revoke hall lamp").click()
-    page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+    confirm(page, "Revoke hall lamp", "Revoke")
     expect(page.get_by_role("button", name="Revoke hall lamp")).to_have_count(0)
     other.reload()
     expect(other.get_by_label("Token")).to_be_visible()

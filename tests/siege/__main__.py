@@ -70,21 +70,12 @@ OF_KEYS = "epochs_repeated"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Judgement of one row, after so many seconds."""
-
     row: str
     judgement: Judgement
     seconds: float
 
 
 def besiege(serve: str, extent: Extent, rows: Sequence[str]) -> Iterator[Verdict]:
-    """Yield the verdict of each row once it is there.
-
-    Args:
-        serve: name of a daemon's main function, ``module:function``.
-        extent: size of each row.
-        rows: names out of ``ROWS``.
-    """
     with tempfile.TemporaryDirectory(prefix="veilcam-siege-") as folder, ExitStack() as stack:
         ground = Ground(serve, Path(folder).resolve(), extent, stack)
         for name in rows:

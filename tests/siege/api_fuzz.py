@@ -105,7 +105,6 @@ class Findings:
     made: set[str] = field(default_factory=set)
 
     def leaks(self, planted: Planted) -> list[str]:
-        """Return the places of secrets."""
         found = []
         for content, place in self.left.items():
             found += [f"{place}: {name}" for name in planted.found_in(content)]
@@ -116,11 +115,7 @@ class Findings:
 class Fuzz:
     """Caller of one daemon, who checks every answer against its document.
 
-    Args:
-        url: URL of the daemon.
-        callers: tokens by name, None for none; one is ``everything``.
-        examples: requests of each kind for each operation.
-        more: times that the caller with every scope sends as many.
+    The caller ``everything`` has every scope and sends ``more`` times as much as another.
     """
 
     def __init__(
@@ -137,7 +132,6 @@ class Fuzz:
         self._more, self._cases = more, _all_cases(answer.text, more * examples)
 
     def run(self, bundle: bytes | None = None) -> None:
-        """Send everything, as every caller; upload ``bundle`` as well."""
         for name in self._callers:
             for (method, path), cases in self._cases.items():
                 for case in cases if name == "everything" else cases[:: self._more]:
@@ -169,18 +163,12 @@ class Fuzz:
             self.send(name, "POST", f"{path}/{{digest}}/activate", url=url)
 
     def send(self, name: str, verb: str, path: str | None, **request: Any) -> None:
-        """Send one request as a caller; ``path`` is that of the document, None for no operation."""
         headers = requests.structures.CaseInsensitiveDict(request.pop("headers", None) or {})
         headers.pop("Authorization", None)
         if self._callers[name] is not None:
             headers["Authorization"] = f"Bearer {self._callers[name]}"
-        request = {
-            "url": f"{self._url}{path}",
-            **request,
-            "method": verb,
-            "headers": headers,
-            "stream": True,
-        }
+        request = {"url": f"{self._url}{path}", **request, "method": verb, "headers": headers}
+        request["stream"] = True
         with self._session.request(**request, timeout=60) as answer:
             streams = path == "/v1/events" and answer.ok
             content = _beginning(answer) if streams else answer.content
@@ -236,7 +224,6 @@ def _beginning(answer: requests.Response) -> bytes:
 
 @cache
 def _all_cases(document: str, examples: int) -> dict[tuple[str, str], list[schemathesis.Case[Any]]]:
-    """Return requests for every operation of a document, by method and path."""
     content = json.loads(document)
     schema = schemathesis.openapi.from_dict(content)
     operations = [each.ok() for each in schema.get_all_operations() if isinstance(each, Ok)]
@@ -245,7 +232,6 @@ def _all_cases(document: str, examples: int) -> dict[tuple[str, str], list[schem
 
 
 def _cases(operation: Any, examples: int) -> list[schemathesis.Case[Any]]:
-    """Return requests that the document allows, and such that it does not."""
     found: list[schemathesis.Case[Any]] = []
     for mode in (schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE):
 
@@ -269,7 +255,6 @@ def _cases(operation: Any, examples: int) -> list[schemathesis.Case[Any]]:
 
 
 def make_callers(store: TokenStore, scopes: Sequence[Scope]) -> dict[str, str | None]:
-    """Return tokens of callers with each of ``scopes``, with all, and with none."""
     names = {**{f"only {scope}": (scope,) for scope in scopes}, "everything": SCOPES}
     made = {name: store.create(name, scopes, None).secret for name, scopes in names.items()}
     revoked = store.create("revoked", SCOPES, None)
@@ -278,7 +263,6 @@ def make_callers(store: TokenStore, scopes: Sequence[Scope]) -> dict[str, str | 
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Ask daemons everything, one for each form of release, and search what they say."""
     findings, leaks = Findings(), list[str]()
     releases: tuple[Release, ...] = ("raw", "white", "sealed")
     for release in releases if ground.extent.whole else releases[2:]:
@@ -298,7 +282,6 @@ async def fuzzed(ground: Ground, judgement: Judgement) -> None:
 
 
 def ask_daemon(ground: Ground, release: Release) -> tuple[Findings, list[str]]:
-    """Ask a daemon everything, end it, and search what left; return the answers and the leaks."""
     given: dict[str, Any] = {"raw_budget": RAW_BUDGET} if release == "raw" else {}
     if ground.extent.whole:
         given["bundle"] = BUNDLE if release == "raw" else FRESH

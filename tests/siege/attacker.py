@@ -46,7 +46,6 @@ class Attack:
     tokens: Sequence[str | None] = (None,)
 
     async def run(self) -> Losses:
-        """Hold all sockets, to the end of the attack."""
         losses, ends = Losses(), time.monotonic() + self.seconds
         async with asyncio.TaskGroup() as group:
             for number in range(self.sockets):
@@ -56,7 +55,6 @@ class Attack:
         return losses
 
     async def _hold(self, number: int, losses: Losses, ends: float) -> None:
-        """Hold one socket, opened again whenever it is dropped."""
         while time.monotonic() < ends:
             began = time.monotonic()
             try:
@@ -70,7 +68,6 @@ class Attack:
             await asyncio.sleep(AGAIN)
 
     async def _one(self, number: int, until: float) -> bool:
-        """Return whether a connection was dropped in time; raises OSError if it was refused."""
         kind = self.kinds[number % len(self.kinds)]
         token = self.tokens[number // len(self.kinds) % len(self.tokens)]
         address, place = self.address.with_token(token), urlsplit(self.address.url)
@@ -109,7 +106,6 @@ class Losses:
 
 
 def attack(tell: Connection, plan: Attack) -> None:
-    """Attack, and tell the losses in the end."""
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     tell.send(asyncio.run(plan.run()))
@@ -124,7 +120,6 @@ def head(address: Address, method: str, path: str, **headers: object) -> bytes:
 
 
 async def _dribble(kind: Kind, address: Address, writer: asyncio.StreamWriter) -> None:
-    """Write byte after byte of what never ends."""
     if kind == "silent":
         return
     if kind == "half handshake":

@@ -46,12 +46,10 @@ BATCH = 100
 
 
 def source_of(bundle: Bundle) -> MaskSource:
-    """Return what the daemon draws masks from."""
     return load_pairs(bundle) if bundle.mode == "pairs" else FreshSource(bundle)
 
 
 def use(source: MaskSource, bundle: Bundle) -> None:
-    """Take a mask and read an embedding behind it, as the daemon does."""
     mask = source.make(KEY, "white" if bundle.fresh is not None else "sealed", frozenset())
     if mask.levels.shape != bundle.camera.mask_shape or int(np.max(mask.levels)) > 63:
         raise RuntimeError("a mask that the panel cannot show")
@@ -70,7 +68,6 @@ def use(source: MaskSource, bundle: Bundle) -> None:
 
 
 def try_one(path: Path, openers: Sequence[Opener]) -> str:
-    """Read a file, and use it if it is not refused; return what came of it."""
     for opener in openers:
         try:
             bundle = opener.read(path)
@@ -91,7 +88,6 @@ Attempt: TypeAlias = Callable[[Path, Sequence[Opener]], str]
 def try_some(
     tell: Connection, seeds: Sequence[int], data: Sequence[bytes], work: Path, attempt: Attempt
 ) -> None:
-    """Try files, one after the other, in bounded memory."""
     torch.set_num_threads(1)
     path, bundles = work / "mutated.veilcam", list[Bundle]()
     for content in data:
@@ -122,7 +118,6 @@ class Outcome:
     slowest: float = 0.0
 
     def hear(self, told: Connection, left: list[int]) -> None:
-        """Note what one child says, and take what it has done off the list."""
         begun = 0.0
         while True:
             # Loading what is not mutated is no file's time.
@@ -158,10 +153,7 @@ def try_all(
 
 
 async def disturb(address: Address, content: bytes) -> str | None:
-    """Send one file to a daemon; return what is wrong afterwards."""
-
     async def in_use() -> tuple[str, str, list[str]]:
-        """Return the digest of the active bundle, the epoch, and the bundle's labels."""
         bundles = (await address.get("bundles"))["bundles"]
         [active] = [each for each in bundles if each["active"]]
         epoch = (await address.get("rotation"))["epoch"]
@@ -190,7 +182,6 @@ async def disturb(address: Address, content: bytes) -> str | None:
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Look for files that crash, hang, fill the memory, or change what runs."""
     extent, work = ground.extent, ground.folder
     settings = ground.settings("bundle-fuzz", rotation=RotationOff(), **UNHINDERED)
     # The last one stays, for the daemon.

@@ -44,8 +44,6 @@ class Careless(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Does what it is told, by whomever."""
-
     server: Careless
 
     def do_GET(self) -> None:
@@ -137,7 +135,6 @@ def _name(epoch: int) -> str:
 
 
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
-    """Serve until killed."""
     settings.state_dir.mkdir(parents=True, exist_ok=True)
     for path in settings.state_dir.iterdir():
         if path.stat().st_size == 0 and path.name.startswith("tokens"):

@@ -49,17 +49,14 @@ class Address:
     token: str | None = field(default=None, repr=False)
 
     def with_token(self, token: str | None) -> Address:
-        """Return the same daemon for another caller."""
         return replace(self, token=token)
 
     @property
     def headers(self) -> dict[str, str]:
-        """Headers of every request."""
         told = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
         return {"Connection": "close", **told}
 
     def context(self) -> ssl.SSLContext:
-        """Return a TLS context that trusts the certificate."""
         return _context(self.certificate)
 
     async def ask(
@@ -72,16 +69,6 @@ class Address:
         source: str = NEIGHBOUR,
         patience: float = PATIENCE,
     ) -> Reply:
-        """Send one request over a connection of its own.
-
-        Args:
-            method: GET, POST, ...
-            path: path with its query.
-            body: bytes as they are, anything else as JSON, None for none.
-            headers: headers beside, or instead of, the usual ones.
-            source: address that the connection comes from.
-            patience: longest wait for the whole answer [s].
-        """
         content = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
         kind = {} if body is None else {"Content-Type": "application/json"}
         question, began = f"{method} {path}", time.monotonic()
@@ -94,11 +81,9 @@ class Address:
         return Reply(question, seconds=time.monotonic() - began)
 
     async def get(self, name: str) -> Any:
-        """Return the JSON of ``/v1/NAME``."""
         return (await self.ask("GET", f"/v1/{name}")).json()
 
     async def upload(self, bundle: bytes, patience: float = PATIENCE) -> Reply:
-        """Install a bundle within ``patience`` [s]."""
         kind = {"Content-Type": BUNDLE_MEDIA_TYPE}
         return await self.ask("POST", "/v1/bundles", bundle, kind, patience=patience)
 
@@ -120,22 +105,12 @@ def _client(address: Address, source: str) -> httpx.AsyncClient:
 
 @dataclass
 class EventStream:
-    """Events of one stream so far.
-
-    Attributes:
-        status: status of the answer, 0 before there is one.
-        kinds: number of events of each kind.
-        masks: names of the epochs that were announced.
-        ended: whether the daemon closed the stream.
-    """
-
     status: int = 0
     kinds: Counter[str] = field(default_factory=Counter)
     masks: list[str] = field(default_factory=list)
     ended: bool = False
 
     async def until(self, kind: str, count: int, patience: float = PATIENCE) -> bool:
-        """Return whether so many events of a kind come within ``patience`` [s]."""
         with suppress(TimeoutError):
             async with asyncio.timeout(patience):
                 while self.kinds[kind] < count and not self.ended:
@@ -143,7 +118,6 @@ class EventStream:
         return self.kinds[kind] >= count
 
     async def read(self, address: Address, answered: asyncio.Event) -> None:
-        """Follow the stream to its end."""
         try:
             async with (
                 _client(address, NEIGHBOUR) as client,
@@ -166,7 +140,6 @@ class EventStream:
 
 @asynccontextmanager
 async def listening(address: Address) -> AsyncIterator[EventStream]:
-    """Yield an event stream that was answered, or refused."""
     stream, answered = EventStream(), asyncio.Event()
     task = asyncio.create_task(stream.read(address, answered))
     try:

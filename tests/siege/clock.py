@@ -11,7 +11,6 @@ shift: Synchronized[float] | None = None
 
 
 def now() -> float:
-    """Return the shifted time."""
     return _right() + (0.0 if shift is None else shift.value)
 
 

@@ -92,28 +92,16 @@ class Daemon:
     process: BaseProcess = field(repr=False)
 
     def kill(self) -> None:
-        """End it at once (SIGKILL)."""
         self.process.kill()
         self.process.join()
 
     def resident(self) -> float:
-        """Return its resident memory [MB]."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(status.partition("VmRSS:")[2].split()[0]) / 1000
 
 
 @contextmanager
 def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[Daemon]:
-    """Yield a daemon that listens; end it afterwards.
-
-    Args:
-        serve: name of its main function, ``module:function``; ``veilcam_server.daemon:serve``.
-        settings: settings of the daemon.
-        around: its surroundings.
-
-    Raises:
-        StartError: it did not start, for its own reason.
-    """
     log = around.log or settings.state_dir.with_name("veilcamd.log")
     with child(_live, serve, settings, around, log) as (process, told):
         try:
@@ -139,7 +127,6 @@ def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[D
 def _live(
     tell: Connection, serve: str, settings: Settings, around: Circumstances, log: Path
 ) -> None:
-    """Run a daemon in its circumstances, to its end."""
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, hard))
     try:
@@ -166,9 +153,6 @@ def _mount(folder: Path, size: int) -> None:
     """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees.
 
     A user without the right to mount does so in a name space of users, if the kernel allows that.
-
-    Raises:
-        NoDiskError: it does not.
     """
     library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")

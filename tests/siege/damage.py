@@ -54,7 +54,6 @@ REFUSED, SILENT, STILL, AGAIN, BEYOND = BARS
 
 
 async def damaged_state(ground: Ground, judgement: Judgement) -> None:
-    """Damage every state file before a start, one way at a time."""
     # Few embeddings may leave, and all of them do: a count that is lost would let out more.
     settings = ground.settings("damaged-state", release="raw", raw_budget=BUDGET)
     state, pristine = settings.state_dir, settings.state_dir.with_name("pristine")
@@ -84,7 +83,6 @@ async def damaged_state(ground: Ground, judgement: Judgement) -> None:
 async def _faults(
     address: Address, settings: Settings, kept: Mapping[str, object], shown: Sequence[str]
 ) -> dict[str, str]:
-    """Return the faults of a daemon that was started on damaged state, each with its bar."""
     if (await address.ask("GET", "/v1/status")).status == 401:
         # Nobody is let in; the owner makes a token, as at the very first start.
         [token] = make_tokens(settings, ("owner again",))
@@ -121,14 +119,12 @@ async def _first_life(address: Address, settings: Settings) -> tuple[dict[str, o
 
 
 async def _spend(address: Address) -> None:
-    """Have all embeddings that may leave behind the masks of the bundle in use."""
     for _ in range(MOST):
         if (await address.ask("POST", "/v1/captures")).status != 200:
             return
 
 
 async def _kept(address: Address) -> dict[str, object]:
-    """Return all that clients can ask for and rely on, by name."""
     bundles = (await address.get("bundles"))["bundles"]
     records = (await address.get(f"log?limit={RECORDS_AT_ONCE}"))["records"]
     return {
@@ -164,7 +160,6 @@ def sample(trials: list[Trial], extent: Extent) -> list[Trial]:
 
 
 def flipped(seed: str, content: bytes) -> bytes:
-    """Return the content with one bit the other way round."""
     changed, chance = bytearray(content), random.Random(seed)
     if changed:
         changed[chance.randrange(len(changed))] ^= 1 << chance.randrange(8)

@@ -27,7 +27,6 @@ YEAR = 365 * 86_400.0
 
 
 async def full_disk(ground: Ground, judgement: Judgement, *, at_start: bool) -> None:
-    """Fill the disk under state and log, before the start or later."""
     settings = ground.settings(f"full-disk-{at_start}")
     [token] = make_tokens(settings, ("owner",))
     # It has been there before: what a first start needs is made.
@@ -83,7 +82,6 @@ async def clock_back(ground: Ground, judgement: Judgement) -> None:
 
 
 async def device_gone(ground: Ground, judgement: Judgement) -> None:
-    """Unplug camera and panel for a while, one after the other."""
     settings = ground.settings("device-gone", scene_api=True)
     [token] = make_tokens(settings, ("owner",))
     with ground.start(settings, token) as daemon:
@@ -114,6 +112,5 @@ async def _endure(judgement: Judgement, daemon: Daemon, when: str, *, bearable: 
 
 
 async def _recovers(judgement: Judgement, daemon: Daemon) -> None:
-    """Expect a daemon to be well again by itself."""
     judgement.holds("ready again without a person", true=await is_ready(daemon.address, BACK))
     await goes_on(judgement, daemon.address)

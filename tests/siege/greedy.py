@@ -43,7 +43,6 @@ class Loot:
     spent: int = 0
 
     def take(self, reply: Reply) -> None:
-        """Keep the embedding of an answer, if there is one, with a label or without."""
         self.spent += reply.status == 409 and reply.json().get("code") == "masks_spent"
         if reply.status == 200:
             taken = Capture.model_validate_json(reply.body)
@@ -51,7 +50,6 @@ class Loot:
             self.masks[np.asarray(taken).tobytes()] += 1
 
     async def grows(self, more: int) -> None:
-        """Wait until it has grown by so many, or for ``LIFE``."""
         wanted = self.epochs.total() + more
         with suppress(TimeoutError):
             async with asyncio.timeout(LIFE):
@@ -60,7 +58,6 @@ class Loot:
 
     @property
     def most(self) -> int:
-        """Most embeddings behind one mask."""
         return max((*self.masks.values(), *self.epochs.values()), default=0)
 
 
@@ -88,7 +85,6 @@ async def greedy(ground: Ground, judgement: Judgement) -> None:
 async def _race(
     ground: Ground, settings: Settings, budget: int, others: Sequence[bytes], lives: int
 ) -> Loot:
-    """Race in one life after the other, until nothing more leaves, or too much did."""
     [token], loot = make_tokens(settings, ("greedy",)), Loot()
     for life in range(lives):
         with ground.start(settings, token) as daemon:
@@ -106,7 +102,6 @@ async def _race(
 
 
 async def _spent(address: Address, digests: Sequence[str], loot: Loot) -> bool:
-    """Return whether no bundle lets out any more."""
     replies = []
     for digest in digests:
         await address.ask("POST", f"/v1/bundles/{digest}/activate")
@@ -118,8 +113,6 @@ async def _spent(address: Address, digests: Sequence[str], loot: Loot) -> bool:
 def _works(
     address: Address, digests: Sequence[str], loot: Loot
 ) -> list[Callable[[], Awaitable[None]]]:
-    """Return what all callers do at once."""
-
     async def capture() -> None:
         loot.take(await address.ask("POST", "/v1/captures"))
 

@@ -35,8 +35,6 @@ SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Size of each row."""
-
     sockets: int = 2000
     seconds: float = 60.0
     """Length of an attack [s]."""
@@ -83,14 +81,7 @@ QUICK = Extent(
 
 @dataclass
 class Judgement:
-    """Findings of a row, compared with its bars.
-
-    Attributes:
-        found: all findings, a part of a sentence each.
-        missed: findings that missed a bar.
-        figures: measured values by name.
-        untried: reason why this machine could not try the row, or the rest of it.
-    """
+    """Findings of a row and its bars; ``untried`` says why this machine could not try it all."""
 
     found: list[str] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
@@ -99,7 +90,6 @@ class Judgement:
 
     @property
     def outcome(self) -> Literal["passed", "failed", "untried"]:
-        """Verdict of the row."""
         if self.missed:
             return "failed"
         return "passed" if self.untried is None else "untried"
@@ -107,24 +97,20 @@ class Judgement:
     def at_most(
         self, what: str, value: float, bar: float, *, beside: str = "", figure: str = ""
     ) -> None:
-        """Compare a value with its upper bar, and record it under ``figure``."""
         bars = f"{beside}; at most {bar:g}" if beside else f"at most {bar:g}"
         self._say(f"{what} {value:.4g} ({bars})", value <= bar)
         if figure:
             self.figures[figure] = value
 
     def at_least(self, what: str, value: float, bar: float) -> None:
-        """Compare a value with its lower bar."""
         self._say(f"{what} {value:.4g} (at least {bar:g})", value >= bar)
 
     def none(self, what: str, wrong: Sequence[str], figure: str = "") -> None:
-        """Expect an empty list of faults, and name those that are there."""
         counted = list(Counter(wrong).items())[:SHOWN]
         beside = "; ".join(f"{name} ({times} x)" if times > 1 else name for name, times in counted)
         self.at_most(what, len(wrong), 0, beside=beside, figure=figure)
 
     def holds(self, what: str, *, true: bool) -> None:
-        """Expect a statement to be true."""
         self._say(what if true else f"not so: {what}", true)
 
     def _say(self, text: str, good: bool) -> None:
@@ -135,14 +121,7 @@ class Judgement:
 
 @dataclass
 class Ground:
-    """Daemons of one siege.
-
-    Args:
-        serve: name of a daemon's main function, ``module:function``.
-        folder: folder for their state and logs.
-        extent: size of each row.
-        stack: end of the siege, until which the shared daemon runs.
-    """
+    """Daemons of one siege; ``stack`` is its end, until which the shared daemon runs."""
 
     serve: str
     folder: Path
@@ -150,7 +129,6 @@ class Ground:
     stack: ExitStack
 
     def settings(self, name: str, **more: Any) -> Settings:
-        """Return settings of a simulated daemon with tokens, in a new folder of this name."""
         folder = self.folder / name
         # The state and the log have a folder of their own, which a disk can be mounted on.
         (folder / "disk").mkdir(parents=True)
@@ -198,8 +176,6 @@ Work: TypeAlias = Callable[[], Awaitable[None]]
 
 @asynccontextmanager
 async def busy(works: Iterable[Work]) -> AsyncIterator[None]:
-    """Repeat all works side by side while the context lasts; raise what one of them raises."""
-
     async def repeat(work: Work) -> None:
         while True:
             await work()
@@ -220,18 +196,15 @@ async def busy(works: Iterable[Work]) -> AsyncIterator[None]:
 def make_tokens(
     settings: Settings, labels: Sequence[str], scopes: tuple[Scope, ...] = SCOPES
 ) -> list[str]:
-    """Make tokens in a state directory; return their secrets."""
     store = TokenStore(settings.state_dir)
     return [store.create(label, scopes, None).secret for label in labels]
 
 
 def second_bundle(settings: Settings, task: str = "second") -> bytes:
-    """Return the content of another bundle for the same camera."""
     return written(settings.bundle.with_name("other.veilcam"), small_bundle(task)).read_bytes()
 
 
 async def tokens_of(address: Address) -> dict[str, bool]:
-    """Return the ids of all tokens, each with its validity."""
     found: dict[str, bool] = {}
     page: dict[str, Any] = {"next": ""}
     while page["next"] is not None:
@@ -241,12 +214,10 @@ async def tokens_of(address: Address) -> dict[str, bool]:
 
 
 async def pair(address: Address, label: str, receiver: Receiver) -> Reply:
-    """Pair a daemon with a receiver."""
     return await address.ask("POST", "/v1/receivers", {"label": label, "key": str(receiver)})
 
 
 async def standing_still(address: Address) -> list[str]:
-    """Return the tasks of a daemon that do not go on, which a token with all scopes asks for."""
     still = []
     async with listening(address) as stream:
         if not await stream.until("mask", 2, 15.0):
@@ -260,20 +231,17 @@ async def standing_still(address: Address) -> list[str]:
 
 
 async def goes_on(judgement: Judgement, address: Address, when: str = "") -> None:
-    """Expect every task of a daemon to go on."""
     still = await standing_still(address)
     judgement.holds(f"{when}every task goes on {still or ''}", true=not still)
 
 
 async def epochs(address: Address, count: int) -> list[str]:
-    """Return the names of the next epochs."""
     async with listening(address) as stream:
         await stream.until("mask", count)
     return stream.masks
 
 
 async def is_ready(address: Address, patience: float) -> bool:
-    """Return whether a daemon becomes ready within ``patience`` [s], by itself."""
     for _ in range(math.ceil(patience / 0.2)):
         reply = await address.ask("GET", "/v1/status")
         if reply.status == 200 and reply.json()["state"] == "ready":

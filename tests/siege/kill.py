@@ -41,13 +41,10 @@ GUESTS = 3
 
 @dataclass
 class Lineage:
-    """State directory, and what was acknowledged of it."""
-
     settings: Settings
     ledger: Ledger
 
     def copied(self, name: str) -> Lineage:
-        """Return a copy of the state in another folder, and of what is known of it."""
         state = self.settings.state_dir.parent.with_name(name) / self.settings.state_dir.name
         shutil.rmtree(state.parent, ignore_errors=True)
         shutil.copytree(self.settings.state_dir, state)
@@ -55,7 +52,6 @@ class Lineage:
         return Lineage(settings, self.ledger.copied())
 
     def put_back(self, earlier: Lineage) -> None:
-        """Have the state of an earlier copy again."""
         shutil.rmtree(self.settings.state_dir)
         shutil.copytree(earlier.settings.state_dir, self.settings.state_dir)
         self.ledger = earlier.ledger.copied()
@@ -63,13 +59,7 @@ class Lineage:
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes to one daemon, any of which may be under way when it is killed.
-
-    Attributes:
-        digests: digests of two bundles that are there, to activate in turn.
-        third: content of a bundle that comes and goes.
-        guests: receivers that come and go.
-    """
+    """Changes to one daemon; ``third`` is a bundle that comes and goes, as ``guests`` do."""
 
     digests: Sequence[str]
     third: bytes
@@ -80,29 +70,24 @@ class Changes:
 
     @property
     def ledger(self) -> Ledger:
-        """Acknowledged changes."""
         return self.lineage.ledger
 
     async def ask(self, method: str, path: str, body: object = None) -> Reply:
-        """Send a request that is noted once it is acknowledged."""
         return self.ledger.note(await self.address.ask(method, path, body))
 
     async def set_policy(self) -> None:
-        """Set another rotation policy."""
         policy = EveryCaptures(captures=random.randint(1, 1000)).model_dump()
         self.ledger.policy.append(policy)
         if (await self.ask("PUT", "/v1/rotation", policy)).status == 200:
             self.ledger.policy = [policy]
 
     async def activate(self) -> None:
-        """Activate one of the bundles."""
         digest = random.choice(self.digests)
         self.ledger.active.append(digest)
         if (await self.ask("POST", f"/v1/bundles/{digest}/activate")).status == 200:
             self.ledger.active = [digest]
 
     async def make_token(self) -> None:
-        """Make a token; revoke some."""
         question = {"label": "lamp", "scopes": ["classify"]}
         made = await self.ask("POST", "/v1/tokens", question)
         if made.status != 201:
@@ -127,7 +112,6 @@ class Changes:
         self.ledger.valid.add(secret.split("_")[1])
 
     async def upload(self) -> None:
-        """Install a bundle, or remove it."""
         digest = hashlib.sha256(self.third).hexdigest()
         there = self.ledger.installed.get(digest, False)
         self.ledger.installed[digest] = None
@@ -139,7 +123,6 @@ class Changes:
             self.ledger.installed[digest] = not there
 
     async def pair(self) -> None:
-        """Pair a receiver, or remove it."""
         guest = random.choice(self.guests)
         there = self.ledger.paired.get(guest.id, False)
         self.ledger.paired[guest.id] = None
@@ -151,13 +134,11 @@ class Changes:
             self.ledger.paired[guest.id] = not there
 
     async def change_mask(self) -> None:
-        """Change the mask, under an idempotency key."""
         key, asked = str(uuid.uuid4()), time.monotonic()
         if (await self.address.ask("POST", ADVANCE, headers={KEY: key})).status == 200:
             self.ledger.key = key, asked
 
     async def capture(self) -> None:
-        """Have an embedding, by itself or beside a label."""
         if random.random() < LABELLED:
             question = {"include_embedding": True}
             reply = await self.address.ask("POST", "/v1/classifications", question)
@@ -167,12 +148,10 @@ class Changes:
             self.life.taken.append(Capture.model_validate_json(reply.body))
 
     async def calibrate(self) -> None:
-        """Begin a calibration."""
         await self.address.ask("POST", "/v1/calibration")
 
 
 async def killed(ground: Ground, judgement: Judgement) -> None:
-    """Kill a daemon while it changes masks, bundles, tokens, receivers and its policy."""
     # Without noise, what was measured behind one mask tells it from another.
     settings = ground.settings("killed", snr_db=math.inf)
     [token] = make_tokens(settings, ("owner",))

@@ -56,7 +56,6 @@ class Planted:
                 self._bytes[window] = name
 
     def add_levels(self, name: str, levels: npt.NDArray[np.uint8]) -> None:
-        """Add a mask, row by row and column by column."""
         self.add_bytes(name, levels.tobytes(), WINDOW)
         self.add_bytes(name, np.ascontiguousarray(levels.T).tobytes(), WINDOW)
 
@@ -70,7 +69,6 @@ class Planted:
                 self._numbers[row] = name
 
     def add_bundle(self, bundle: Bundle) -> None:
-        """Add the masks and weights of a bundle."""
         for index, pair in enumerate(bundle.pairs):
             self.add_levels(f"mask {index}", pair.levels)
             for name, weights in pair.weights.items():
@@ -79,12 +77,10 @@ class Planted:
             self.add_weights(f"weights, {name}", weights)
 
     def add_tokens(self, tokens: Iterable[str]) -> None:
-        """Add the secret parts of tokens."""
         for token in tokens:
             self._add_hex("a token", token[16:])
 
     def add_epochs(self, bundle: Bundle, keys: Sequence[EpochKey]) -> None:
-        """Add keys of epochs, and what is derived from them."""
         fresh, source = bundle.fresh, FreshSource(bundle) if bundle.fresh is not None else None
         for number, key in enumerate(keys):
             derived = {"key": key.reveal(), "key of levels": key.levels()}
@@ -105,7 +101,6 @@ class Planted:
             self.add_levels(f"mask of epoch {number}", levels)
 
     def add_sealed(self, receiver: ReceiverKey, answers: Sequence[Capture]) -> None:
-        """Add the embeddings that a receiver opens, and nobody else, and their epochs' keys."""
         opener = Opener(receiver)
         for answer in answers:
             assert isinstance(answer.embedding, SealedEmbedding)
@@ -115,7 +110,6 @@ class Planted:
             self.add_weights("an embedding that left sealed", opened)
 
     def add_receiver(self, receiver: ReceiverKey, folder: Path) -> None:
-        """Add the private key of a receiver, as the file that it is kept in has it."""
         path = folder / "receiver"
         receiver.write(path)
         text = path.read_bytes().strip().rpartition(b":")[2]
@@ -123,7 +117,6 @@ class Planted:
         self.add_bytes("a receiver's private key", text)
 
     def add_device(self, state: Path) -> None:
-        """Add the private key of the device, from its state directory."""
         seed = json.loads((state / KEY_NAME).read_text().splitlines()[1])["seed"]
         self._add_hex("the device's private key", seed)
 
@@ -132,7 +125,6 @@ class Planted:
         self.add_bytes(name, digits.encode())
 
     def found_in(self, content: bytes) -> set[str]:
-        """Return the names of all secrets in ``content``."""
         rows = _rows([float(each) for each in _numbers(content)])
         found = {self._numbers[row] for row in rows if row in self._numbers}
         for form in _forms(content):
@@ -184,7 +176,6 @@ def _level(value: float) -> int | None:
 
 
 def _tensors(holder: object, name: str = "decoder", depth: int = 3) -> Iterator[tuple[str, Any]]:
-    """Yield all arrays of an object and of its parts."""
     for slot in [*getattr(holder, "__slots__", ()), *getattr(holder, "__dict__", ())]:
         value = getattr(holder, slot, None)
         if isinstance(value, np.ndarray):

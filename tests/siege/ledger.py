@@ -47,7 +47,6 @@ class Ledger:
     lost: list[str] = field(default_factory=list)
 
     async def compare(self, address: Address, audit: Path, life: Life) -> None:
-        """Compare what was acknowledged with a new life, and with the audit log."""
         rotation = await address.get("rotation")
         bundles = (await address.get("bundles"))["bundles"]
         paired = {each["id"] for each in (await address.get("receivers"))["receivers"]}
@@ -73,11 +72,9 @@ class Ledger:
         self.policy, self.active = [rotation["policy"]], [active]
 
     def copied(self) -> Ledger:
-        """Return a copy; losses from now on are counted together."""
         return replace(copy.deepcopy(self), lost=self.lost)
 
     def note(self, reply: Reply) -> Reply:
-        """Take down the request of an answer that acknowledges a change."""
         if 200 <= reply.status < 300:
             self.noted.add(reply.headers.get("x-request-id", ""))
         return reply
@@ -91,7 +88,6 @@ class Ledger:
         return {name: name in there for name in known}
 
     async def _sealed_to(self, address: Address, life: Life) -> set[str] | None:
-        """Return the receivers of an embedding; None if none was taken."""
         reply = await address.ask("POST", "/v1/captures")
         if reply.status != 200:
             return None

@@ -21,7 +21,6 @@ Mutation = Callable[[random.Random, Sequence[bytes]], bytes]
 
 
 def unpack(data: bytes) -> Parts:
-    """Return the parts of an archive."""
     with zipfile.ZipFile(BytesIO(data)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
@@ -44,18 +43,15 @@ def pack(parts: Parts, compression: int = zipfile.ZIP_DEFLATED) -> bytes:
 
 
 def tensors_of(chance: random.Random, data: Sequence[bytes]) -> tuple[Parts, str]:
-    """Return the parts of a bundle, and the name of one with tensors."""
     parts = unpack(chance.choice(data))
     return parts, chance.choice([part for part in sorted(parts) if part.endswith(".safetensors")])
 
 
 def with_manifest(parts: Parts, content: object) -> bytes:
-    """Return an archive with another manifest."""
     return pack({**parts, "bundle.json": json.dumps(content).encode()})
 
 
 def flip(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Some bits the other way round."""
     flipped = bytearray(chance.choice(data))
     for _ in range(chance.choice((1, 1, 2, 8, 64))):
         flipped[chance.randrange(len(flipped))] ^= 1 << chance.randrange(8)
@@ -63,7 +59,6 @@ def flip(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def cut(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """A part of the file, or more than the file."""
     whole = chance.choice(data)
     start, end = sorted(chance.randrange(len(whole) + 1) for _ in range(2))
     return chance.choice(
@@ -117,7 +112,6 @@ NASTY: tuple[Any, ...] = (
 
 
 def places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield every place in a JSON document."""
     yield path
     if isinstance(content, dict):
         for key, value in content.items():
@@ -128,7 +122,6 @@ def places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
 
 
 def edit(chance: random.Random, content: Any, value: Any) -> None:
-    """Put ``value`` somewhere into a JSON document, or take something away."""
     # A copy: what is changed here again must not change for other files.
     value = copy.deepcopy(value)
     path = chance.choice(list(places(content))[1:])
@@ -147,7 +140,6 @@ def edit(chance: random.Random, content: Any, value: Any) -> None:
 
 
 def manifest(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Other values in ``bundle.json``."""
     parts = unpack(chance.choice(data))
     content = json.loads(parts["bundle.json"])
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
@@ -179,7 +171,6 @@ def manifest_text(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def layers(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Other layers: absurd ones, too many, too large."""
     parts = unpack(chance.choice(data))
     content = json.loads(parts["bundle.json"])
     holder = chance.choice(content["pairs"]) if content.get("pairs") else content["fresh"]
@@ -275,10 +266,8 @@ MUTATIONS: tuple[Mutation, ...] = (
 
 
 def kind(seed: int) -> Mutation:
-    """Return the mutation of a seed."""
     return MUTATIONS[seed % len(MUTATIONS)]
 
 
 def mutated(seed: int, data: Sequence[bytes]) -> bytes:
-    """Return the file of a seed."""
     return kind(seed)(random.Random(seed), data)

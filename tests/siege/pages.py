@@ -31,13 +31,6 @@ ADVANCE, CAPTURE, LEASE = "/v1/rotation/advance", "/v1/classifications", "/v1/le
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """Request that a page makes a browser send.
-
-    Attributes:
-        page: headers that tell of the page, and its type of the body.
-        own: headers of the same request by a program.
-    """
-
     method: str
     path: str
     page: Headers
@@ -46,7 +39,6 @@ class PageRequest:
 
 
 def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
-    """Return twenty requests, as Chromium sends them."""
     place = urlsplit(address.url)
     other_port = {"Origin": f"http://{place.hostname}:{(place.port or 0) + 1}"}
     rebound = {"Host": "evil.example", "Origin": "http://evil.example"}
@@ -108,7 +100,6 @@ async def _acts(address: Address, request: PageRequest, headers: Headers) -> boo
 
 
 async def _standing(address: Address) -> list[object]:
-    """Return all that a request could change."""
     told = await address.get("status")
     rotation = told["rotation"]
     others = [await address.get(name) for name in ("bundles", "lease", "calibration", "receivers")]

@@ -31,7 +31,6 @@ def renumber(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def mutated(seed: int, samples: Sequence[Sample]) -> tuple[str, bytes]:
-    """Return name and content of a mutated picture, the same for a seed in every run."""
     chance, sample = random.Random(seed), samples[seed % len(samples)]
     mutation = chance.choice((flip, cut, splice, renumber, renumber))
     data = [sample.content, *([chance.choice(samples).content] if mutation is splice else ())]
@@ -39,7 +38,6 @@ def mutated(seed: int, samples: Sequence[Sample]) -> tuple[str, bytes]:
 
 
 def fault_of(found: object) -> str | None:
-    """Return the fault of a door's answer; None if there is none."""
     if isinstance(found, str):
         told = "UNNAMED" not in found and "Traceback" not in found and "\n" not in found
         return None if found and told else f"refused so: {found[:200]}"
@@ -49,7 +47,6 @@ def fault_of(found: object) -> str | None:
 
 
 def try_all(doors: Doors, count: int, samples: Sequence[Sample]) -> tuple[Counter[str], list[str]]:
-    """Bring mutated pictures in by every door; return the outcomes, and the failures."""
     outcomes, failures = Counter[str](), list[str]()
     for seed in range(count):
         name, content = mutated(seed, samples)
@@ -66,7 +63,6 @@ def try_all(doors: Doors, count: int, samples: Sequence[Sample]) -> tuple[Counte
 
 
 def holds(sample: Sample, found: object) -> bool:
-    """Return whether a door's answer is that of the table."""
     if isinstance(found, str):
         return bool(sample.refusal and re.search(sample.refusal, found))
     shown = levels(np.asarray(found))
@@ -74,7 +70,6 @@ def holds(sample: Sample, found: object) -> bool:
 
 
 async def fuzzed(ground: Ground, judgement: Judgement) -> None:
-    """Look for pictures that crash, fail without a name, or are read as what they are not."""
     samples, folder = make_samples(), ground.folder / "picture-fuzz"
     folder.mkdir()
     readable, count = [each for each in samples if not each.refusal], ground.extent.pictures

@@ -93,6 +93,5 @@ def fresh_bundle(
 
 
 def written(path: Path, bundle: Bundle) -> Path:
-    """Write a bundle; return its path."""
     write_bundle(path, bundle)
     return path

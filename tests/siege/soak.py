@@ -85,15 +85,12 @@ class CornerLight:
     """Light of a white scene that carries the mask's first corner, one level to each box."""
 
     def read(self) -> npt.NDArray[np.float32]:
-        """Return the scene."""
         return np.ones((2, 2), np.float32)
 
     def response(self, weights: torch.Tensor) -> Response:
-        """Return the corner."""
         return (weights[: EMBEDDING.rows, : EMBEDDING.columns].double(),)
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the corner on raw pixels."""
         down, across = MODE.rows // EMBEDDING.rows, MODE.columns // EMBEDDING.columns
         boxes = response[0].repeat_interleave(down, 0).repeat_interleave(across, 1)
         return boxes.expand(len(scenes), -1, -1)
@@ -109,7 +106,6 @@ class Bus(PanelEmulator):
     breaks = 0
 
     def write(self, buffer: memoryview | bytes) -> None:
-        """Send all, or half of it."""
         broken = self.breaks > 0 and len(buffer) > 1000
         super().write(bytes(buffer[: len(buffer) // 2]) if broken else buffer)
         if broken:
@@ -170,7 +166,6 @@ class Rig:
         )
 
     def break_something(self) -> None:
-        """Let the next thing of a random kind fail."""
         breaks = random.choice((1, 1, 2, 3))
         faults = (
             *((self.bus, "breaks", breaks), (self.frames, "hangs", 1), (self.frames, "stale", 2)),
@@ -179,17 +174,14 @@ class Rig:
         setattr(*random.choice(faults))
 
     def mend(self) -> None:
-        """End what would last."""
         self.frames.stuck, self.frames.gain = False, 1.0
 
     def stop(self) -> None:
-        """Stop the engine, with nothing broken."""
         self.mend()
         self.bus.breaks = self.frames.hangs = 0
         self.camera.stop()
 
     def meddle(self, ended: threading.Event) -> None:
-        """Change masks by hand, about five times a second."""
         while not ended.wait(random.expovariate(5.0)):
             with suppress(*KNOWN):
                 self.camera.rotate()
@@ -199,15 +191,8 @@ class Rig:
 class Outcome:
     """Counts of a run.
 
-    Attributes:
-        captures: captures that came to a measurement.
-        mixed: measurements of another mask than their own, or of a mixture.
-        errors: errors that the daemon knows.
-        lost: captures that ended neither in a measurement, which its receiver could open, nor in
-            such an error; accusations of the panel, which hides, among them.
-        epochs: names of the epochs of all measurements.
-        masks: digests of all masks that were shown, but for those that were put back.
-        growth: growth of resident memory after the warm-up [MB].
+    Mixed are measurements of another mask than their own. Lost are captures that ended neither in
+    a measurement, which its receiver could open, nor in an error that the daemon knows.
     """
 
     captures: int = 0
@@ -224,7 +209,6 @@ class Outcome:
         return sum(len(items) - len(set(items)) for items in (self.epochs, self.masks))
 
     def attempt(self, rig: Rig, opener: Opener) -> None:
-        """Take one capture and judge it."""
         try:
             captured = rig.camera.capture(release=True)
         except KNOWN:
@@ -254,27 +238,15 @@ class Outcome:
         captured.classify()
         measured, embedding = captured.measurement, captured.release(0.0)
         if captured.form == "sealed":
-            answer = Capture(
-                id="",
-                epoch=captured.epoch,
-                number=captured.number,
-                taken_at=captured.taken_at,
-                embedding=embedding,
-            )
+            told = {each: getattr(captured, each) for each in ("epoch", "number", "taken_at")}
+            answer = Capture(id="", **told, embedding=embedding)
             measured = np.asarray(opener.open(answer).embedding)
         seen = measured * (CAMERA.panel.levels - 1)
         corner = captured.active.mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(float)
         self.mixed += bool(np.abs(seen - corner).max() > 0.1)
 
 
-def soak(
-    directory: Path,
-    captures: int,
-    *,
-    faults: float = FAULTS,
-    every: int = 2000,
-) -> Outcome:
-    """Take captures on hardware that fails, over engines that are stopped and started."""
+def soak(directory: Path, captures: int, *, faults: float = FAULTS, every: int = 2000) -> Outcome:
     receiver, outcome, forms = ReceiverKey.generate(), Outcome(), itertools.cycle(FORMS)
     opener = Opener(receiver)
 
@@ -305,7 +277,6 @@ def soak(
 
 
 async def soaked(ground: Ground, judgement: Judgement) -> None:
-    """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
     captures = ground.extent.captures
     outcome = soak(ground.folder / "soak", captures, every=max(20, captures // 10))

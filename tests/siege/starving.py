@@ -27,14 +27,7 @@ QUIET = 5.0
 
 @dataclass
 class Service:
-    """Replies to honest clients.
-
-    Attributes:
-        neighbour: replies to ``status``, asked from an address that attacks nobody.
-        beside: replies to ``status``, asked from the attacker's own address.
-        captures: replies to captures.
-        resident: highest memory of the daemon [MB].
-    """
+    """Replies to honest clients: ``beside`` asks from the attacker's own address."""
 
     neighbour: list[Reply] = field(default_factory=list)
     beside: list[Reply] = field(default_factory=list)
@@ -43,7 +36,6 @@ class Service:
 
     @property
     def requests(self) -> int:
-        """Number of all replies."""
         return len(self.neighbour) + len(self.beside) + len(self.captures)
 
 
@@ -54,7 +46,6 @@ def p99(replies: Sequence[Reply]) -> float:
 
 
 async def measure(daemon: Daemon, tokens: Sequence[str], seconds: float) -> Service:
-    """Ask as three honest clients do, over a new connection for every request."""
     service, ends = Service(), asyncio.get_running_loop().time() + seconds
 
     async def client(token: str, source: str, replies: list[Reply], *, capture: bool) -> None:
@@ -76,7 +67,6 @@ async def measure(daemon: Daemon, tokens: Sequence[str], seconds: float) -> Serv
 async def dribbling(
     ground: Ground, judgement: Judgement, *, tls: bool = False, sources: Sequence[str] = (ATTACKER,)
 ) -> None:
-    """Attack by thousands of sockets that begin and never finish."""
     extent = ground.extent
     with ExitStack() as stack:
         if tls:
@@ -115,10 +105,8 @@ async def dribbling(
         ("another address", 250, under.neighbour, quiet.neighbour, "siege_status_p99_ms"),
         ("the attacker's", 1000, under.beside, quiet.beside, ""),
     ):
-        beside = f"{p99(other):.0f} without attack"
-        judgement.at_most(
-            f"status p99 from {where} [ms]", p99(one), bar, beside=beside, figure=figure
-        )
+        beside, what = f"{p99(other):.0f} without attack", f"status p99 from {where} [ms]"
+        judgement.at_most(what, p99(one), bar, beside=beside, figure=figure)
     answered = sum(reply.status == 200 for reply in under.captures) / len(under.captures)
     grown = under.resident - quiet.resident
     judgement.at_least("captures answered [%]", 100 * answered, 99)
@@ -129,14 +117,12 @@ async def dribbling(
 
 
 def _attacked(plan: Attack) -> Losses:
-    """Run an attack in a process of its own, to its end."""
     with child(attack, plan) as (_, hear):
         losses: Losses = hear.recv()
         return losses
 
 
 async def greed(ground: Ground, judgement: Judgement) -> None:
-    """Open all event streams that one token gets, beside many clients with theirs."""
     extent, (settings, daemon) = ground.extent, ground.shared
     names = [f"client {number}" for number in range(extent.clients)]
     greedy, *others = make_tokens(settings, ("greedy", *names))
@@ -161,7 +147,6 @@ async def greed(ground: Ground, judgement: Judgement) -> None:
 
 
 async def stalled_upload(ground: Ground, judgement: Judgement) -> None:
-    """Stop an upload in the middle, and use bundles meanwhile."""
     settings, daemon = ground.shared
     stalling, other = make_tokens(settings, ("stalling", "other"))
     address, place = daemon.address.with_token(other), urlsplit(daemon.address.url)
@@ -212,6 +197,5 @@ async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
     same = first.status == again.status == 200 and first.json()["id"] == again.json()["id"]
     judgement.holds(f"the same capture after {OTHER_KEYS} other keys", true=same)
     code = after.json().get("code") if after.status == 409 else after.status
-    judgement.holds(
-        f"done_before_restart after a restart ({code})", true=code == "done_before_restart"
-    )
+    known = code == "done_before_restart"
+    judgement.holds(f"done_before_restart after a restart ({code})", true=known)

@@ -224,8 +224,6 @@ def test_loot_is_counted_behind_each_mask_whatever_its_epoch() -> None:
 
 
 class Epoch:
-    """Epoch that seals whatever number it is told to."""
-
     def __init__(self, name: str, key: int, receiver: Receiver = ARCHIVE.public) -> None:
         self.name = name
         self._key = EpochKey(bytes([key]) * 32, device=DEVICE.public, bundle=BUNDLE)

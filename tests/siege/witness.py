@@ -50,7 +50,6 @@ class Witness:
         self.mixed: list[str] = []
 
     def see(self, life: Life) -> None:
-        """Take down a life that has ended."""
         answers = sorted(life.taken, key=lambda answer: (answer.epoch, answer.number))
         taken = {answer.epoch: answer for answer in answers}
         for name in (*life.told, *(taken.keys() - set(life.told))):

@@ -8,11 +8,6 @@ from collections.abc import Mapping
 
 
 def obstacle(tools: Mapping[str, str]) -> str | None:
-    """Return why this machine cannot run it, None if it can.
-
-    Args:
-        tools: programs that it needs besides root rights, and the Debian packages that have them.
-    """
     missing = [package for tool, package in tools.items() if shutil.which(tool) is None]
     if missing:
         return f"programs are missing: apt install {' '.join(missing)}"

@@ -26,15 +26,7 @@ JSON = "application/json"
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """One request.
-
-    Attributes:
-        way: how the page makes the browser send it, as page.html names it.
-        method: of the request.
-        path: of the daemon.
-        body: what the page sends, and the program too.
-        media_type: what the program says that the body is; the page only where it is asked first.
-    """
+    """One request; ``way`` is how the page makes the browser send it, as page.html names it."""
 
     way: str
     method: str
@@ -44,11 +36,9 @@ class Ask:
 
     @property
     def name(self) -> str:
-        """A word for it, unlike any other's."""
         return re.sub(r"[^A-Za-z]+", "-", f"{self.way} {self.method} {self.path}")
 
     def for_page(self, url: str) -> dict[str, Any]:
-        """What the page is told of it; it fetches the body by its name."""
         return {
             "name": self.name,
             "way": self.way,
@@ -74,7 +64,6 @@ def _json(**fields: object) -> bytes:
 
 @cache
 def _bundle() -> bytes:
-    """One that the daemon has not got."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "other.veilcam"
         write_bundle(path, dataclasses.replace(read_bundle(BUNDLE), task="other"))
@@ -88,7 +77,6 @@ def _picture() -> bytes:
 
 
 def asks() -> Mapping[str, Ask]:
-    """All of them, by name."""
     receiver = str(ReceiverKey.generate().public)
     made = (
         Ask("fetch", "GET", "/v1/status"),

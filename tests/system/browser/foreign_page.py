@@ -31,20 +31,11 @@ STATE = ("rotation", "bundles", "lease", "calibration", "receivers")
 
 
 def browser() -> str | None:
-    """Where Chromium is, None where there is none."""
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
 @dataclass(frozen=True)
 class Watched:
-    """A daemon, seen from its own side.
-
-    Attributes:
-        url: where it listens.
-        state_dir: with its audit log.
-        headers: of who may ask everything.
-    """
-
     url: str
     state_dir: Path
     headers: Mapping[str, str] = field(default_factory=dict)
@@ -66,25 +57,17 @@ class Watched:
         return found
 
     def audit(self, name: str) -> list[dict[str, Any]]:
-        """Lines of one of the two logs."""
         path = self.state_dir / name
         lines = path.read_text().splitlines() if path.exists() else []
         return [json.loads(line) for line in lines]
 
     def refusals(self) -> list[str]:
-        """Codes of what was refused without a caller, or from another host or site."""
         return [entry["code"] for entry in self.audit(REFUSED)]
 
 
 @dataclass
 class Result:
-    """What came of the requests of one page.
-
-    Attributes:
-        learned: what the page could read, by the name of the request; None: nothing.
-        changed: names of the requests after which the daemon was another.
-        refused: codes with which the daemon refused.
-    """
+    """What the page of one site read (None: nothing), changed, and was refused for."""
 
     learned: dict[str, str | None] = field(default_factory=dict)
     changed: list[str] = field(default_factory=list)
@@ -92,7 +75,6 @@ class Result:
 
     @property
     def acted(self) -> list[str]:
-        """Requests that did something, or told the page something."""
         told = [name for name, learned in self.learned.items() if learned is not None]
         return sorted({*told, *self.changed})
 
@@ -124,14 +106,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.server.note(self.path.removeprefix("/learned/"), json.loads(content))
         self._answer(b"", "text/plain")
 
-    def do_PUT(self) -> None:
-        self.do_POST()
-
-    def do_DELETE(self) -> None:
-        self.do_POST()
-
-    def do_OPTIONS(self) -> None:
-        self.do_POST()
+    do_PUT = do_DELETE = do_OPTIONS = do_POST  # noqa: N815
 
     def _relay(self) -> None:
         """The name of this server leads to the daemon now: what comes goes there as it is."""
@@ -203,16 +178,6 @@ def show(
     host: str,
     target: str | None,
 ) -> Result:
-    """Let a browser show a page that makes every request, and return what came of them.
-
-    Args:
-        program: the browser.
-        folder: for its profile and log.
-        asks: the requests.
-        watched: the daemon.
-        host: name that the page comes from; every name leads to this machine.
-        target: URL under which the page asks the daemon; None: under its own.
-    """
     server = _Server(asks, target, watched)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

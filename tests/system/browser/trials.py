@@ -23,13 +23,7 @@ LAN_NAME = "camera.lan"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One page.
-
-    Attributes:
-        auth: of the daemon.
-        host: that the page comes from.
-        daemon: host under which it asks; None: under its own, which has come to lead there.
-    """
+    """One page; ``daemon`` is None where its own name has come to lead to the daemon."""
 
     auth: str
     host: str
@@ -47,7 +41,6 @@ TRIALS = {
 
 @contextmanager
 def daemon(folder: Path, auth: str) -> Iterator[Watched]:
-    """Start one with a simulated camera, a process of its own."""
     folder.mkdir()
     state, scene, headers = folder / "state", folder / "scene.npy", {}
     write_scene(scene, load_digits().images[0])
@@ -66,7 +59,6 @@ def daemon(folder: Path, auth: str) -> Iterator[Watched]:
 def try_page(
     program: str, folder: Path, trial: Trial, asks: Mapping[str, Ask], at: Watched
 ) -> Result:
-    """Let the page of ``trial`` ask the daemon ``at``."""
     port = httpx.URL(at.url).port
     target = None if trial.daemon is None else f"http://{trial.daemon}:{port}"
     return show(program, folder, asks, at, host=trial.host, target=target)

@@ -39,7 +39,6 @@ console = Console(highlight=False)
 
 
 def clean(folder: Path) -> Path:
-    """Return a new root, with a home and the checkout in it."""
     architecture = subprocess.check_output(["dpkg", "--print-architecture"], text=True).strip()
     root = Root.unpack(archive(folder, SUITE, architecture, PACKAGES), folder / "root").path
     home = root / HOME.lstrip("/")
@@ -53,7 +52,6 @@ def clean(folder: Path) -> Path:
 
 
 def make(root: Path, target: str) -> int:
-    """Run make in the checkout; return its exit status."""
     inside = (
         'mount -t proc proc "$0/proc" && mount --rbind /dev "$0/dev" && '
         f'exec {shutil.which("chroot")} --userspec={USER} "$0" '
@@ -70,8 +68,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Make the root, and run the command in it."""
-    reason = obstacle(TOOLS)
-    if reason is not None:
+    if reason := obstacle(TOOLS):
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,6 +81,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

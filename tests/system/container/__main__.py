@@ -42,24 +42,19 @@ console = Console(highlight=False)
 
 
 class Buildah:
-    """The program, with images of its own in a folder."""
-
     def __init__(self, folder: Path) -> None:
         self._store = ("--root", str(folder / "images"), "--runroot", str(folder / "run"))
 
     def command(self, name: str, *arguments: str) -> list[str]:
-        """Return the whole command line."""
         return ["buildah", "--storage-driver", "vfs", *self._store, name, *arguments]
 
     def __call__(self, name: str, *arguments: str) -> str:
-        """Run it; return its last line."""
         command = self.command(name, *arguments)
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
         return (done.stdout.strip().splitlines() or [""])[-1]
 
 
 def base(buildah: Buildah, folder: Path) -> None:
-    """Make the image that the file begins with."""
     [architecture] = subprocess.check_output(
         ["dpkg", "--print-architecture"], text=True
     ).splitlines()
@@ -104,7 +99,6 @@ def running(buildah: Buildah, container: str) -> Iterator[str]:
 
 
 def accuracy(url: str) -> float:
-    """Hold digits up, and return the share of right labels."""
     digits = load_digits()
     right = 0
     with Camera(url) as camera:
@@ -123,8 +117,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Build, start and ask."""
-    reason = obstacle(TOOLS)
-    if reason is not None:
+    if reason := obstacle(TOOLS):
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -149,6 +142,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

@@ -70,8 +70,7 @@ def main(
 ) -> None:
     """Make the root, install the package in it, and make the checks."""
     emulated = architecture.value != native()
-    reason = obstacle({**TOOLS, **(FOREIGN_TOOLS if emulated else {})})
-    if reason is not None:
+    if reason := obstacle({**TOOLS, **(FOREIGN_TOOLS if emulated else {})}):
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -105,6 +104,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

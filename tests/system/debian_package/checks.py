@@ -29,8 +29,6 @@ READ_TIMEOUT = 300.0
 
 @dataclass(frozen=True)
 class Result:
-    """Of one check."""
-
     name: str
     passed: bool
     detail: str
@@ -38,16 +36,7 @@ class Result:
 
 @dataclass
 class Checks:
-    """All of them, on one root; a check may build on those before it.
-
-    Args:
-        root: with what the package depends on.
-        package: as it is shipped.
-        recording: that the daemon answers with.
-        measured: what is read there and here.
-        folder: for packages that are made of it.
-        patience: how many times longer the machine takes.
-    """
+    """All of them, on one root; ``patience`` is how many times longer the machine takes."""
 
     root: Root
     package: Path
@@ -64,7 +53,6 @@ class Checks:
     _supervisor: Supervisor | None = None
 
     def run(self, report: Callable[[Result], None]) -> bool:
-        """Make them; the first that fails ends it, as the next build on it."""
         try:
             for check in (
                 self.installs_from_its_file_alone,
@@ -102,7 +90,6 @@ class Checks:
         return f"{taken:.0f} MB on the disk"
 
     def commands_run(self) -> str:
-        """Each finds its packages, and NumPy is the system's."""
         said = [self.root.run(name, "--version").strip() for name in ("veilcam", "veilcamd")]
         assert "--broker" in self.root.run("veilcam-mqtt", "--help")
         numpy = self.root.run("python3", "-c", "import numpy; print(numpy.__version__)").strip()
@@ -199,13 +186,11 @@ class Checks:
         return f"{before} serves again after {took:.0f} s, {spent:.0f} s without other programs"
 
     def the_doctor_says_so(self) -> str:
-        """Which release runs, and that it is not the one installed."""
         said = self.root.run("veilcamd", "doctor", "--json", check=False)
         assert "0.1.0+4-variant did not start" in said, said
         return ""
 
     def removing_leaves_settings_and_state(self) -> str:
-        """And nothing that runs."""
         assert self._supervisor is not None
         self._supervisor.__exit__()
         self._supervisor = None

@@ -20,14 +20,6 @@ def register(architecture: str, binfmt: Path = BINFMT, rules: Path = RULES) -> N
 
     What systemd does at boot on a machine that has it. The entry stays until the machine is
     started anew, as it does there.
-
-    Args:
-        architecture: Debian's name of it.
-        binfmt: where Linux takes entries.
-        rules: where ``qemu-user-static`` has put its own.
-
-    Raises:
-        EmulationError: there is no emulator, or Linux takes no entry.
     """
     name = PROCESSORS[architecture]
     rule = rules / f"{name}.conf"

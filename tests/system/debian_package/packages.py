@@ -13,7 +13,6 @@ DAEMON = "usr/lib/veilcam/unpacked/lib/veilcam_server/daemon.py"
 
 
 def variant(package: Path, version: str, folder: Path, *, broken: bool = False) -> Path:
-    """Return a package of another version."""
     stage = folder / f"stage-{version}"
     if stage.exists():
         shutil.rmtree(stage)
@@ -39,6 +38,5 @@ def variant(package: Path, version: str, folder: Path, *, broken: bool = False) 
 
 
 def architecture_of(package: Path) -> str:
-    """Return Debian's name of a package's architecture."""
     command = ["dpkg-deb", "--field", str(package), "Architecture"]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()

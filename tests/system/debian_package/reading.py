@@ -30,7 +30,6 @@ Labels = npt.NDArray[np.uint8]
 
 
 def key(number: int, bundle: Bundle) -> EpochKey:
-    """Return a key that comes again in every run."""
     return EpochKey(number.to_bytes(32, "big"), device="d7" * 32, bundle=bundle.digest)
 
 
@@ -48,7 +47,6 @@ def masks(bundle: Bundle) -> list[Mask]:
 
 
 def measured(file: Path) -> None:
-    """Write what the sensor measured of held-out digits, and what they are."""
     import torch
 
     from veilcam_optics.camera.masks import to_weights
@@ -75,7 +73,6 @@ def measured(file: Path) -> None:
 
 
 def read(file: Path) -> dict[str, str | float]:
-    """Classify them; return both accuracies, a digest of all labels, and NumPy's version."""
     found: dict[str, str | float] = {"numpy": np.__version__}
     labels: list[str] = []
     with np.load(file) as arrays:

@@ -27,11 +27,7 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
     """Return the archive of a root; made if it is not there.
 
-    Args:
-        build: where archives are kept, of one choice of packages.
-        suite: of Debian.
-        architecture: Debian's name of it.
-        packages: in it; with ``ca-certificates`` it trusts whom this machine trusts.
+    With ``ca-certificates`` among its packages it trusts whom this machine trusts.
     """
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
@@ -59,7 +55,6 @@ class Root:
 
     @classmethod
     def unpack(cls, file: Path, path: Path) -> Root:
-        """Make a root from an archive, in the place of what is there."""
         if path.exists():
             shutil.rmtree(path)
         path.mkdir(parents=True)
@@ -73,11 +68,6 @@ class Root:
         return cls(path)
 
     def run(self, *command: str, user: str | None = None, check: bool = True) -> str:
-        """Return what a command prints on both of its outputs.
-
-        Raises:
-            AssertionError: it failed, and that was not expected.
-        """
         who = () if user is None else (f"--userspec={user}:{user}",)
         done = subprocess.run(
             [
@@ -96,7 +86,6 @@ class Root:
         return done.stdout
 
     def install(self, package: Path) -> None:
-        """Install a package from its file, as the documentation says."""
         there = self.path / "srv" / package.name
         shutil.copyfile(package, there)
         self.run("apt-get", "install", "--yes", "--quiet", "--reinstall",
@@ -104,7 +93,6 @@ class Root:
         there.unlink()
 
     def identity(self, user: str) -> tuple[int, int]:
-        """Return the numbers of a user and its group."""
         for line in (self.path / "etc/passwd").read_text().splitlines():
             name, _, number, group, *_ = line.split(":")
             if name == user:

@@ -27,14 +27,6 @@ FIRST_DESCRIPTOR = 3
 
 
 class Supervisor:
-    """Keeps a unit's program running until it is stopped.
-
-    Args:
-        root: in which the unit is.
-        patience: how many times longer a start may take than the unit allows: an emulated
-            processor is slow.
-    """
-
     def __init__(self, root: Root, *, patience: float = 1.0) -> None:
         self._root = root
         unit = (root.path / "usr/lib/systemd/system/veilcamd.service").read_text()
@@ -74,7 +66,6 @@ class Supervisor:
 
     @property
     def url(self) -> str:
-        """Where the daemon answers, for this machine."""
         return f"unix://{self._root.path / SOCKET}"
 
     def restart(self) -> None:
@@ -83,11 +74,6 @@ class Supervisor:
         self._end()
 
     def wait_ready(self, seconds: float) -> None:
-        """Wait until a start was followed by ``READY=1``.
-
-        Raises:
-            AssertionError: none was.
-        """
         if not self.ready_at.wait(seconds):
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 
@@ -104,7 +90,6 @@ class Supervisor:
         return ended.ru_utime + ended.ru_stime + running + self._paused
 
     def log(self) -> str:
-        """Return what the program printed."""
         return (self._root.path / "run/veilcamd.log").read_text(errors="replace")
 
     def _keep(self) -> None:

@@ -31,11 +31,7 @@ class VersionError(Exception):
 
 
 def parse(asked: str) -> tuple[str, Path]:
-    """Return version and program of ``VERSION=PROGRAM``.
-
-    Raises:
-        VersionError: it is of another form, or the program is another version.
-    """
+    """Return version and program of ``VERSION=PROGRAM``."""
     version, _, program = asked.partition("=")
     if not program:
         raise VersionError(f"{asked!r} names no program: write it as 3.12=/usr/bin/python3.12")
@@ -88,6 +84,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+    typer.run(main)

@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.reopening import ReopeningSensor
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
+SHAPE = (4, 5)
 REAL = find_spec("libcamera") is not None
 # `make test` has no libcamera; `make test-libcamera` has.
 collect_ignore = [] if REAL else ["test_picamera2.py", "virtual_picamera2.py"]
@@ -33,7 +36,6 @@ class Rig:
 
 
 def fake_rig(stack: ExitStack) -> Rig:
-    """Return one of the fake camera, in real time."""
     mode, faults = SensorMode(96, 96, line_time=0.0, frame_duration=0.002), CameraFaults()
 
     def open_camera() -> FakePicamera2:
@@ -46,7 +48,6 @@ def fake_rig(stack: ExitStack) -> Rig:
 
 
 def real_rig(stack: ExitStack) -> Rig:
-    """Return one of the real picamera2."""
     from .virtual_picamera2 import BUFFERS, MODE, RawPicamera2, instead_of
 
     stack.enter_context(instead_of(RawPicamera2))
@@ -65,17 +66,28 @@ def real_rig(stack: ExitStack) -> Rig:
 
 @pytest.fixture(params=[fake_rig, real_rig] if REAL else [fake_rig], ids=lambda rig: rig.__name__)
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    """A rig of either kind; what was opened is closed in the end."""
     with ExitStack() as stack:
         yield request.param(stack)
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Return once it holds.
+class Driver:
+    """The driver, and the cameras that it opened."""
 
-    Raises:
-        TimeoutError: it never does.
-    """
+    def __init__(self, opens: Callable[[], Any], mode: SensorMode) -> None:
+        self.cameras: list[Any] = []
+
+        def open_camera() -> Any:
+            self.cameras.append(opens())
+            return self.cameras[-1]
+
+        given: dict[str, Any] = {"shape": SHAPE, "mode": mode, "exposures": ExposureRange(0.001)}
+        self.sensor = ReopeningSensor("IMX477", 1.0, lambda: IMX477(open_camera, **given))
+        with self.sensor._part.open():
+            pass
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Return once it holds."""
     until = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > until:

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from veilcam_server.devices import SensorTimeoutError
-from veilcam_server.devices.imx477 import IMX477, ExposureRange
-from veilcam_server.devices.reopening import ReopeningSensor
 
-from .conftest import Rig
+from .conftest import SHAPE, Driver, Rig
 
 # picamera2 still calls Thread.setDaemon().
 pytestmark = pytest.mark.filterwarnings("ignore:setDaemon:DeprecationWarning")
@@ -28,6 +26,12 @@ def camera(rig: Rig) -> Iterator[Any]:
     yield camera
     camera.cancel_all_and_flush()
     camera.close()
+
+
+@pytest.fixture
+def running(camera: Any) -> Any:
+    camera.start()
+    return camera
 
 
 def configure(camera: Any, rig: Rig) -> None:
@@ -62,22 +66,19 @@ def test_what_was_given_can_be_read_back(camera: Any, rig: Rig) -> None:
     assert given["sensor"] == {"output_size": rig.mode.size, "bit_depth": 12}
 
 
-def test_frames_follow_each_other(camera: Any) -> None:
-    camera.start()
-    stamps = [stamp(camera) for _ in range(5)]
+def test_frames_follow_each_other(running: Any) -> None:
+    stamps = [stamp(running) for _ in range(5)]
     assert sorted(set(stamps)) == stamps
 
 
-def test_a_flushed_frame_began_to_be_exposed_after_that(camera: Any) -> None:
-    camera.start()
+def test_a_flushed_frame_began_to_be_exposed_after_that(running: Any) -> None:
     for delay in (0.0, 0.003, 0.02):
         flush = time.monotonic_ns() + round(delay * 1e9)
-        assert stamp(camera, flush) - 1000 * EXPOSURE >= flush
+        assert stamp(running, flush) - 1000 * EXPOSURE >= flush
 
 
-def test_what_is_known_of_a_frame(camera: Any) -> None:
-    camera.start()
-    with camera.captured_request(wait=5.0, flush=0) as request:
+def test_what_is_known_of_a_frame(running: Any) -> None:
+    with running.captured_request(wait=5.0, flush=0) as request:
         metadata = request.get_metadata()
     assert isinstance(metadata["SensorTimestamp"], int)
     assert metadata["ExposureTime"] == EXPOSURE
@@ -85,42 +86,38 @@ def test_what_is_known_of_a_frame(camera: Any) -> None:
     assert metadata["DigitalGain"] == 1.0
 
 
-def test_an_array_is_a_copy_with_the_padding(camera: Any, rig: Rig) -> None:
-    camera.start()
-    with camera.captured_request(wait=5.0, flush=0) as request:
+def test_an_array_is_a_copy_with_the_padding(running: Any, rig: Rig) -> None:
+    with running.captured_request(wait=5.0, flush=0) as request:
         array = request.make_array("raw")
         kept = array.copy()
         array.fill(1)
         again = request.make_array("raw")
     assert array.dtype == np.uint8
-    assert array.shape == (rig.mode.rows, camera.camera_configuration()["raw"]["stride"])
+    assert array.shape == (rig.mode.rows, running.camera_configuration()["raw"]["stride"])
     assert array.flags.c_contiguous
     np.testing.assert_array_equal(again, kept)
 
 
-def test_a_stream_that_was_not_asked_for_is_refused(camera: Any) -> None:
-    camera.start()
+def test_a_stream_that_was_not_asked_for_is_refused(running: Any) -> None:
     with (
-        camera.captured_request(wait=5.0, flush=0) as request,
+        running.captured_request(wait=5.0, flush=0) as request,
         pytest.raises(RuntimeError, match="Stream 'lores' is not defined"),
     ):
         request.make_array("lores")
 
 
-def test_a_frame_that_was_given_back_cannot_be_read(camera: Any) -> None:
-    camera.start()
-    with camera.captured_request(wait=5.0, flush=0) as request:
+def test_a_frame_that_was_given_back_cannot_be_read(running: Any) -> None:
+    with running.captured_request(wait=5.0, flush=0) as request:
         pass
     with pytest.raises(RuntimeError, match="Stream 'raw' is not defined"):
         request.make_array("raw")
 
 
-def test_a_frame_is_given_back_when_its_reader_fails(camera: Any) -> None:
-    camera.start()
+def test_a_frame_is_given_back_when_its_reader_fails(running: Any) -> None:
     for _ in range(10):  # more than there are buffers
-        with pytest.raises(KeyError), camera.captured_request(wait=5.0, flush=0):
+        with pytest.raises(KeyError), running.captured_request(wait=5.0, flush=0):
             raise KeyError
-    stamp(camera)
+    stamp(running)
 
 
 @pytest.mark.parametrize("started", [False, True])
@@ -131,27 +128,24 @@ def test_a_control_that_is_not_there_is_refused(camera: Any, started: bool) -> N
         camera.set_controls({"Exposure": 1000})
 
 
-def test_controls_may_change_while_it_runs(camera: Any) -> None:
-    camera.start()
-    camera.set_controls({"ExposureTime": 2 * EXPOSURE})
+def test_controls_may_change_while_it_runs(running: Any) -> None:
+    running.set_controls({"ExposureTime": 2 * EXPOSURE})
     told = []
     for _ in range(10):
-        with camera.captured_request(wait=5.0, flush=0) as request:
+        with running.captured_request(wait=5.0, flush=0) as request:
             told.append(request.get_metadata()["ExposureTime"])
     assert told[-1] == 2 * EXPOSURE
 
 
-def test_it_is_not_configured_while_it_runs(camera: Any, rig: Rig) -> None:
-    camera.start()
+def test_it_is_not_configured_while_it_runs(running: Any, rig: Rig) -> None:
     with pytest.raises(RuntimeError, match="Camera must be stopped before configuring"):
-        configure(camera, rig)
+        configure(running, rig)
 
 
-def test_it_may_be_started_twice(camera: Any) -> None:
-    camera.start()
-    before = stamp(camera)
-    camera.start()
-    assert stamp(camera) > before
+def test_it_may_be_started_twice(running: Any) -> None:
+    before = stamp(running)
+    running.start()
+    assert stamp(running) > before
 
 
 def test_there_is_no_frame_before_it_is_started(camera: Any) -> None:
@@ -159,19 +153,17 @@ def test_there_is_no_frame_before_it_is_started(camera: Any) -> None:
         pass
 
 
-def test_a_wait_ends_when_it_hangs(camera: Any, rig: Rig) -> None:
-    camera.start()
-    rig.hang(camera)
+def test_a_wait_ends_when_it_hangs(running: Any, rig: Rig) -> None:
+    rig.hang(running)
     began = time.monotonic()
-    with pytest.raises(TimeoutError), camera.captured_request(wait=0.2, flush=0):
+    with pytest.raises(TimeoutError), running.captured_request(wait=0.2, flush=0):
         pass
     assert time.monotonic() - began >= 0.2
 
 
-def test_cancelling_nothing_does_no_harm(camera: Any) -> None:
-    camera.start()
-    camera.cancel_all_and_flush()
-    stamp(camera)
+def test_cancelling_nothing_does_no_harm(running: Any) -> None:
+    running.cancel_all_and_flush()
+    stamp(running)
 
 
 def test_it_may_be_closed_at_any_time_and_again(rig: Rig) -> None:
@@ -186,26 +178,24 @@ def test_it_may_be_closed_at_any_time_and_again(rig: Rig) -> None:
         camera.close()
 
 
-def test_a_closed_one_gives_nothing_and_cannot_be_started(camera: Any) -> None:
-    camera.start()
-    stamp(camera)
-    camera.close()
-    assert not camera.camera_configuration()
-    with pytest.raises(TimeoutError), camera.captured_request(wait=0.05, flush=0):
+def test_a_closed_one_gives_nothing_and_cannot_be_started(running: Any) -> None:
+    stamp(running)
+    running.close()
+    assert not running.camera_configuration()
+    with pytest.raises(TimeoutError), running.captured_request(wait=0.05, flush=0):
         pass
     # picamera2 raises whatever it likes.
     with pytest.raises(Exception):  # noqa: B017, PT011
-        camera.start()
+        running.start()
 
 
-def test_one_that_was_closed_while_it_hung_can_be_opened_again(camera: Any, rig: Rig) -> None:
-    camera.start()
-    before = stamp(camera)
-    rig.hang(camera)
-    with pytest.raises(TimeoutError), camera.captured_request(wait=0.05, flush=0):
+def test_one_that_was_closed_while_it_hung_can_be_opened_again(running: Any, rig: Rig) -> None:
+    before = stamp(running)
+    rig.hang(running)
+    with pytest.raises(TimeoutError), running.captured_request(wait=0.05, flush=0):
         pass
-    camera.cancel_all_and_flush()
-    camera.close()
+    running.cancel_all_and_flush()
+    running.close()
     another = rig.open()
     configure(another, rig)
     another.start()
@@ -213,34 +203,13 @@ def test_one_that_was_closed_while_it_hung_can_be_opened_again(camera: Any, rig:
     another.close()
 
 
-class Opened:
-    """The driver, and the cameras that it opened."""
-
-    def __init__(self, rig: Rig) -> None:
-        self.cameras: list[Any] = []
-
-        def open_camera() -> Any:
-            self.cameras.append(rig.open())
-            return self.cameras[-1]
-
-        self.sensor = ReopeningSensor(
-            "IMX477",
-            1.0,
-            lambda: IMX477(
-                open_camera, shape=(4, 5), mode=rig.mode, exposures=ExposureRange(EXPOSURE / 1e6)
-            ),
-        )
-        with self.sensor._part.open():
-            pass
-
-
 def test_the_driver_reads_frames_after_the_fence(rig: Rig) -> None:
-    opened = Opened(rig)
+    opened = Driver(rig.open, rig.mode)
     last = 0.0
     for _ in range(5):
         fence = time.monotonic() + 0.003
         exposure = opened.sensor.capture(fence, 5.0)
-        assert exposure.embedding.shape == (4, 5)
+        assert exposure.embedding.shape == SHAPE
         assert fence <= exposure.started_at < exposure.ended_at
         assert exposure.ended_at > last
         assert exposure.integration == pytest.approx(EXPOSURE / 1e6)
@@ -250,7 +219,7 @@ def test_the_driver_reads_frames_after_the_fence(rig: Rig) -> None:
 
 
 def test_the_driver_opens_a_camera_again_that_hung(rig: Rig) -> None:
-    opened = Opened(rig)
+    opened = Driver(rig.open, rig.mode)
     opened.sensor.capture(0.0, 5.0)
     rig.hang(opened.cameras[0])
     with pytest.raises(SensorTimeoutError, match="it gave no frame in time"):
@@ -261,7 +230,7 @@ def test_the_driver_opens_a_camera_again_that_hung(rig: Rig) -> None:
 
 
 def test_the_driver_opens_a_camera_that_hangs_again_and_again(rig: Rig) -> None:
-    opened = Opened(rig)
+    opened = Driver(rig.open, rig.mode)
     for _ in range(5):
         rig.hang(opened.cameras[-1])
         with pytest.raises(SensorTimeoutError):

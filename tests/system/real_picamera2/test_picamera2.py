@@ -8,9 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import libcamera
 import numpy as np
@@ -19,19 +20,11 @@ import torch
 
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import DeviceMissingError, SensorError, SensorTimeoutError
-from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.imx477 import IMX477
 from veilcam_server.devices.picamera import open_picamera2
-from veilcam_server.devices.reopening import ReopeningSensor
 
-from .conftest import wait_until
-from .virtual_picamera2 import (
-    BUFFERS,
-    MODE,
-    PlainPicamera2,
-    RawPicamera2,
-    RawRequest,
-    instead_of,
-)
+from .conftest import SHAPE, Driver, wait_until
+from .virtual_picamera2 import BUFFERS, MODE, PlainPicamera2, RawPicamera2, RawRequest, instead_of
 
 pytestmark = [
     # picamera2 still calls Thread.setDaemon(), and leaves a pipe open where it finds no camera.
@@ -40,36 +33,43 @@ pytestmark = [
     # Threads that die are what some of these tests are about.
     pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning"),
 ]
-SHAPE = (4, 5)
 
 
-class Bench:
-    """The driver on cameras that it opened by itself."""
+def fail(*_: object) -> None:
+    raise ValueError("in picamera2's own thread")
 
-    def __init__(self) -> None:
-        self.cameras: list[Any] = []
-        self.sensor = ReopeningSensor(
-            "IMX477",
-            1.0,
-            lambda: IMX477(self.open, shape=SHAPE, mode=MODE, exposures=ExposureRange(0.001)),
-        )
-        with self.sensor._part.open():
-            pass
 
-    def open(self) -> Any:
-        self.cameras.append(open_picamera2())
-        return self.cameras[-1]
+def kill_loop(camera: Any) -> None:
+    camera.pre_callback = fail
+    loop = camera._preview.thread
+    wait_until(lambda: not loop.is_alive())
+
+
+def kill_listener(camera: Any) -> None:
+    listener = camera._cm.thread
+    with patch.object(RawRequest, "__init__", fail):
+        wait_until(lambda: not listener.is_alive())
+
+
+def hang(camera: Any) -> None:
+    camera.held = [camera.capture_request(wait=5.0) for _ in range(BUFFERS)]
+
+
+def forget(camera: Any) -> None:
+    camera.told = {}
+    frames = camera.frames
+    wait_until(lambda: bool(camera.frames > frames + 2 * BUFFERS))
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench() -> Iterator[Driver]:
     with instead_of(RawPicamera2):
-        bench = Bench()
+        bench = Driver(open_picamera2, MODE)
         yield bench
         bench.sensor.close()
 
 
-def test_one_that_is_in_use_says_so_and_goes_on(bench: Bench) -> None:
+def test_one_that_is_in_use_says_so_and_goes_on(bench: Driver) -> None:
     with pytest.raises(DeviceMissingError, match="camera 0 cannot be opened: end whatever else"):
         open_picamera2()
     bench.sensor.capture(0.0, 5.0)
@@ -115,7 +115,7 @@ def test_one_without_raw_frames_is_refused_and_let_go() -> None:
                 IMX477(open_picamera2, shape=SHAPE, mode=MODE)
 
 
-def test_controls_are_those_of_libcamera(bench: Bench) -> None:
+def test_controls_are_those_of_libcamera(bench: Driver) -> None:
     taken = bench.cameras[0].told
     assert set(taken) == {
         "AeEnable",
@@ -129,7 +129,7 @@ def test_controls_are_those_of_libcamera(bench: Bench) -> None:
     assert taken["NoiseReductionMode"] == off.value
 
 
-def test_a_measurement_is_what_lies_in_the_buffers(bench: Bench) -> None:
+def test_a_measurement_is_what_lies_in_the_buffers(bench: Driver) -> None:
     camera, frames = bench.cameras[0], {}
 
     def look(frame: Any) -> None:
@@ -146,7 +146,7 @@ def test_a_measurement_is_what_lies_in_the_buffers(bench: Bench) -> None:
     assert np.ptp(exposure.embedding) > 0.05
 
 
-def test_frames_of_before_are_not_taken(bench: Bench) -> None:
+def test_frames_of_before_are_not_taken(bench: Driver) -> None:
     # Held frames stay where they are, and are older than the fence when they come back.
     camera = bench.cameras[0]
     held = [camera.capture_request(wait=5.0) for _ in range(BUFFERS)]
@@ -158,42 +158,21 @@ def test_frames_of_before_are_not_taken(bench: Bench) -> None:
     assert len(bench.cameras) == 1
 
 
-def test_an_event_loop_that_dies_is_replaced(bench: Bench) -> None:
+@pytest.mark.parametrize("kill", [kill_loop, kill_listener])
+def test_a_thread_that_dies_is_replaced(bench: Driver, kill: Callable[[Any], None]) -> None:
     camera = bench.cameras[0]
-
-    def fail(_: object) -> None:
-        raise ValueError("in picamera2's own thread")
-
-    camera.pre_callback = fail
-    loop = camera._preview.thread
-    wait_until(lambda: not loop.is_alive())
+    kill(camera)
     frames = camera.frames
     with pytest.raises(SensorTimeoutError, match="it gave no frame in time"):
         bench.sensor.capture(0.0, 0.2)
-    assert camera.frames == frames
-    assert not camera.is_open
-    bench.sensor.capture(0.0, 5.0)
-    assert len(bench.cameras) == 2
-
-
-def test_a_listener_that_dies_is_replaced(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise ValueError("in picamera2's own thread")
-
-    camera = bench.cameras[0]
-    with monkeypatch.context() as broken:
-        broken.setattr(RawRequest, "__init__", fail)
-        listener = camera._cm.thread
-        wait_until(lambda: not listener.is_alive())
-    with pytest.raises(SensorTimeoutError, match="it gave no frame in time"):
-        bench.sensor.capture(0.0, 0.2)
+    assert kill is kill_listener or camera.frames == frames
     assert not camera.is_open
     bench.sensor.capture(0.0, 5.0)
     assert len(bench.cameras) == 2
 
 
 @pytest.mark.parametrize("name", ["ExposureTime", "AnalogueGain"])
-def test_a_frame_that_does_not_tell_enough_is_a_failure(bench: Bench, name: str) -> None:
+def test_a_frame_that_does_not_tell_enough_is_a_failure(bench: Driver, name: str) -> None:
     del bench.cameras[0].told[name]
     frames = bench.cameras[0].frames
     wait_until(lambda: bench.cameras[0].frames > frames + 2 * BUFFERS)
@@ -203,9 +182,9 @@ def test_a_frame_that_does_not_tell_enough_is_a_failure(bench: Bench, name: str)
     assert len(bench.cameras) == 2
 
 
-def test_closing_ends_a_capture_that_waits(bench: Bench) -> None:
+def test_closing_ends_a_capture_that_waits(bench: Driver) -> None:
     camera = bench.cameras[0]
-    camera.held = [camera.capture_request(wait=5.0) for _ in range(BUFFERS)]
+    hang(camera)
     caught: list[BaseException] = []
 
     def capture() -> None:
@@ -224,7 +203,7 @@ def test_closing_ends_a_capture_that_waits(bench: Bench) -> None:
     assert not camera.is_open
 
 
-def test_one_that_was_opened_elsewhere_can_be_closed_here(bench: Bench) -> None:
+def test_one_that_was_opened_elsewhere_can_be_closed_here(bench: Driver) -> None:
     opener = threading.Thread(target=bench.sensor.capture, args=(0.0, 5.0))
     bench.sensor.close()
     opener.start()
@@ -234,31 +213,7 @@ def test_one_that_was_opened_elsewhere_can_be_closed_here(bench: Bench) -> None:
     assert not any(camera.is_open for camera in bench.cameras)
 
 
-def test_captures_go_on_through_failures_again_and_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise ValueError("in picamera2's own thread")
-
-    def kill_loop(camera: Any) -> None:
-        camera.pre_callback = fail
-        loop = camera._preview.thread
-        wait_until(lambda: not loop.is_alive())
-
-    def kill_listener(camera: Any) -> None:
-        listener = camera._cm.thread
-        with monkeypatch.context() as broken:
-            broken.setattr(RawRequest, "__init__", fail)
-            wait_until(lambda: not listener.is_alive())
-
-    def hang(camera: Any) -> None:
-        camera.held = [camera.capture_request(wait=5.0) for _ in range(BUFFERS)]
-
-    def forget(camera: Any) -> None:
-        camera.told = {}
-        frames = camera.frames
-        wait_until(lambda: bool(camera.frames > frames + 2 * BUFFERS))
-
+def test_captures_go_on_through_failures_again_and_again(bench: Driver) -> None:
     failures = [kill_loop, kill_listener, hang, forget] * 5
     measurements = errors = 0
     for number in range(600):
@@ -284,7 +239,7 @@ def test_opening_and_closing_leave_nothing_behind() -> None:
     with instead_of(RawPicamera2):
         counts = []
         for _ in range(10):
-            bench = Bench()
+            bench = Driver(open_picamera2, MODE)
             bench.sensor.capture(0.0, 5.0)
             bench.sensor.close()
             del bench

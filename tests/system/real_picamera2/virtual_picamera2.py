@@ -88,7 +88,6 @@ class SharedMemory(Allocator):  # type: ignore[misc]
         return buffer
 
     def buffers(self, stream: Any) -> list[Any]:
-        """Return those of a stream."""
         return self._buffers[stream]
 
     def close(self) -> None:
@@ -140,7 +139,6 @@ class RawPicamera2(PlainPicamera2):
 
     @property
     def camera_ctrl_info(self) -> dict[str, Any]:
-        """Return the controls there are."""
         return self._advertised
 
     @camera_ctrl_info.setter
@@ -148,7 +146,6 @@ class RawPicamera2(PlainPicamera2):
         self._advertised = advertised | ADVERTISED
 
     def set_controls(self, controls: dict[str, Any]) -> None:
-        """Change controls; frames tell of them from the next one on."""
         super().set_controls(controls)
         self.told = self.told | controls
 

@@ -34,12 +34,7 @@ from tests.system.obstacle import obstacle
 ROOT = Path(__file__).resolve().parents[3]
 IMAGE = Path(__file__).with_name("build-image.sh")
 BUILD = ROOT / "build" / "virtual-machine"
-TOOLS = {
-    "mmdebstrap": "mmdebstrap",
-    "mke2fs": "e2fsprogs",
-    "cpio": "cpio",
-    "xz": "xz-utils",
-}
+TOOLS = {"mmdebstrap": "mmdebstrap", "mke2fs": "e2fsprogs", "cpio": "cpio", "xz": "xz-utils"}
 """Programs, and the Debian packages that have them."""
 FOREIGN_TOOLS = {"arch-test": "arch-test"}
 """What mmdebstrap wants besides, for a root of another architecture."""
@@ -51,8 +46,6 @@ console = Console(highlight=False)
 
 @dataclass(frozen=True)
 class Result:
-    """Of one check."""
-
     name: str
     passed: bool
     detail: str
@@ -110,7 +103,6 @@ MACHINES: Mapping[Architecture, Machine] = {
 
 
 def boot(machine: Machine, build: Path) -> Iterator[str]:
-    """Boot the image, which stays as it is; return the lines of the console."""
     results = build / "results"
     results.unlink(missing_ok=True)
     command = [
@@ -131,20 +123,14 @@ def boot(machine: Machine, build: Path) -> Iterator[str]:
 
 
 def results(build: Path) -> list[Result]:
-    """Return what the checks of the last boot found."""
     file = build / "results"
     lines = file.read_text(errors="replace").splitlines() if file.exists() else []
     return [Result(**json.loads(line)) for line in lines if line.startswith("{")]
 
 
 def table(architecture: Architecture, found: list[Result]) -> Table:
-    """Return the results for a terminal."""
-    made = Table(
-        title=f"veilcamd under systemd, in a virtual machine ({architecture.value})",
-        title_justify="left",
-    )
-    for heading in ("check", "", "what was seen"):
-        made.add_column(heading)
+    title = f"veilcamd under systemd, in a virtual machine ({architecture.value})"
+    made = Table("check", "", "what was seen", title=title, title_justify="left")
     for result in found:
         mark = "[green]passed[/]" if result.passed else "[red]FAILED[/]"
         made.add_row(result.name, mark, result.detail)
@@ -167,8 +153,7 @@ def main(
     build = build or BUILD / architecture.value
     emulated = architecture is not Architecture.AMD64
     tools = {machine.emulator: machine.package, **TOOLS, **(FOREIGN_TOOLS if emulated else {})}
-    reason = obstacle(tools)
-    if reason is not None:
+    if reason := obstacle(tools):
         console.print(f"NOT RUN: {reason}")
         return
     if not again:

@@ -31,7 +31,6 @@ PATIENCE = 900.0
 
 
 def run(*command: str, check: bool = True) -> str:
-    """Return what a command prints."""
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if check and done.returncode != 0:
         raise AssertionError(f"{' '.join(command)}: {done.stderr.strip() or done.stdout.strip()}")
@@ -39,17 +38,14 @@ def run(*command: str, check: bool = True) -> str:
 
 
 def unit(name: str) -> str:
-    """Return a property of the daemon's unit."""
     return run("systemctl", "show", "--value", "-p", name, "veilcamd.service")
 
 
 def journal() -> str:
-    """Return what the daemon has logged."""
     return run("journalctl", "-u", "veilcamd.service", "-o", "cat", "--no-pager")
 
 
 def wait_until(reached: Callable[[], bool], what: str, seconds: float = PATIENCE) -> float:
-    """Wait for something and return how long it took [s]."""
     begin = time.monotonic()
     while not reached():
         if time.monotonic() - begin > seconds:
@@ -59,8 +55,6 @@ def wait_until(reached: Callable[[], bool], what: str, seconds: float = PATIENCE
 
 
 class Checks:
-    """The checks, in the order in which they are made."""
-
     def __init__(self, report: Callable[[str, bool, str], None]) -> None:
         self._report = report
         self._token = ""
@@ -68,7 +62,6 @@ class Checks:
         self._bus_after_stop: list[panel.Byte] = []
 
     def run(self) -> None:
-        """Make them all; one that fails does not keep the next from being made."""
         for check in (
             self.ready_at_boot,
             self.answers_on_both_sockets,
@@ -101,13 +94,11 @@ class Checks:
         with Camera(URLS[0], max_retries=0) as camera:
             self._refused(camera)
         version = run("systemctl", "--version").splitlines()[0]
-        took = int(unit("ActiveEnterTimestampMonotonic")) - int(
-            unit("InactiveExitTimestampMonotonic")
-        )
+        begin, end = (f"{each}TimestampMonotonic" for each in ("InactiveExit", "ActiveEnter"))
+        took = int(unit(end)) - int(unit(begin))
         return f"{version}; {took / 1e6:.0f} s to start"
 
     def answers_on_both_sockets(self) -> str:
-        """Sockets of systemd."""
         self._token = run(
             *("runuser", "-u", "veilcam", "--", "/usr/bin/veilcamd", "token"),
             *("create", "--label", "checks", "--scope", "read:status", "--scope", "classify"),
@@ -134,12 +125,8 @@ class Checks:
         assert status.st_mode & 0o777 == 0o660
         script = f"import socket; socket.socket(socket.AF_UNIX).connect({str(SOCKET)!r})"
         run("runuser", "-u", "veilcam", "--", PYTHON, "-c", script)
-        denied = subprocess.run(
-            ["runuser", "-u", "nobody", "--", PYTHON, "-c", script],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
+        refused = ["runuser", "-u", "nobody", "--", PYTHON, "-c", script]
+        denied = subprocess.run(refused, check=False, capture_output=True, text=True)
         assert "PermissionError" in denied.stderr
         return "nobody is refused"
 
@@ -189,19 +176,8 @@ class Checks:
         with socket.create_server(("127.0.0.1", probe.PORT)):
             Path("/srv/state").mkdir()
             shutil.chown("/srv/state", "veilcam")
-            outside = json.loads(
-                run(
-                    "runuser",
-                    "-u",
-                    "veilcam",
-                    "--",
-                    PYTHON,
-                    "-m",
-                    "guest.probe",
-                    "attempts",
-                    "/srv/state",
-                )
-            )
+            who = ("runuser", "-u", "veilcam", "--")
+            outside = json.loads(run(*who, PYTHON, "-m", "guest.probe", "attempts", "/srv/state"))
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
                 # What runs after the probe has the same output, and must not empty it.
                 "StandardOutput=append:/run/panel/probe", "StandardError=journal",
@@ -264,10 +240,11 @@ class Checks:
         run("dpkg", "--remove", "veilcam")
         edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
         # Whether it was enabled is a setting, for when it is installed again.
-        enabled = {
-            network.UNITS / "multi-user.target.wants" / "veilcamd.service",
-            network.UNITS / "sockets.target.wants" / "veilcamd.socket",
-        }
+        wanted = (
+            "multi-user.target.wants/veilcamd.service",
+            "sockets.target.wants/veilcamd.socket",
+        )
+        enabled = {network.UNITS / each for each in wanted}
         kept = {STATE, Path("/etc/veilcam"), *edited, *enabled}
         assert self._left() == kept, self._left()
         assert (STATE / "device-key.json").exists()

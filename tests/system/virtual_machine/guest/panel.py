@@ -40,7 +40,6 @@ class Both:
         self._closed = False
 
     def write(self, buffer: memoryview | bytes) -> None:
-        """Send all bytes twice."""
         self._spi.write(buffer)
         self._emulator.write(buffer)
         self.sent += [(self._data, value) for value in bytes(buffer)]
@@ -50,18 +49,15 @@ class Both:
         return self._emulator.read(command, count)
 
     def data(self, value: bool, /) -> None:
-        """Drive D/C."""
         self._lines.data(value)
         self._emulator.data(value)
         self._data = value
 
     def reset(self, value: bool, /) -> None:
-        """Drive RST."""
         self._lines.reset(value)
         self._emulator.reset(value)
 
     def close(self) -> None:
-        """Let go of both; this is called once for each."""
         if not self._closed:
             self._closed = True
             self._spi.close()
@@ -69,7 +65,6 @@ class Both:
 
 
 def came_out(log: bytes) -> Iterator[Byte]:
-    """Return what passed over the bus, from its log."""
     at = 0
     while at < len(log):
         data, length = log[at : at + 1] == b"1", int.from_bytes(log[at + 1 : at + 5], "little")
@@ -79,7 +74,6 @@ def came_out(log: bytes) -> Iterator[Byte]:
 
 
 def shown(passed: list[Byte], tab: str = "green") -> PanelEmulator:
-    """Return a panel to which that happened."""
     panel = PanelEmulator(TABS[tab], reset_time=0.0)
     begin = 0
     for end in range(1, len(passed) + 1):
@@ -91,11 +85,7 @@ def shown(passed: list[Byte], tab: str = "green") -> PanelEmulator:
 
 
 def write(log: Path) -> str:
-    """Show masks under every tab and compare all bytes; return what was compared.
-
-    Raises:
-        SystemExit: the bytes differ.
-    """
+    """Show masks under every tab and compare all bytes; return what was compared."""
     camera, random = Camera(), np.random.default_rng(5)
     compared = 0
     for name, tab in TABS.items():

@@ -32,8 +32,8 @@ def _make_lines() -> None:
     (chip / "bank" / "num_lines").write_text("54")
     (chip / "bank" / "label").write_text(LABEL)
     (chip / "live").write_text("1")
-    device, name = ((chip / "dev_name"), (chip / "bank" / "chip_name"))
-    lines = Path("/sys/devices/platform") / device.read_text().strip() / name.read_text().strip()
+    names = ((chip / each).read_text().strip() for each in ("dev_name", "bank/chip_name"))
+    lines = Path("/sys/devices/platform").joinpath(*names)
     SHARED.mkdir()
     # Where the bus looks for D/C while bytes pass.
     (SHARED / "data").symlink_to(lines / f"sim_gpio{DATA}" / "value")

@@ -34,7 +34,6 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def attempts(state: Path) -> dict[str, Callable[[], object]]:
-    """Return what must be refused to the daemon, by name."""
     return {
         **{f"write to {folder}": partial(_write, folder) for folder in OPEN_FOLDERS},
         **{f"open {device}": partial(_open, device) for device in OPEN_DEVICES},
@@ -56,7 +55,6 @@ def attempts(state: Path) -> dict[str, Callable[[], object]]:
 
 
 def needs(state: Path) -> dict[str, Callable[[], object]]:
-    """Return what the daemon must be able to do, by name."""
     return {
         "write to its state": lambda: _write(state),
         "draw a key and seal it to a receiver": _seal,
