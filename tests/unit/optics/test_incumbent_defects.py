@@ -7,6 +7,7 @@ import math
 
 import pytest
 import torch
+from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -20,10 +21,6 @@ CAMERA = Camera(
     window=Window(12, 5, 180, 74), sensor=Sensor(760, 1016, pixel=1.55e-6), distance=4e-3
 )
 SCENE, EMBEDDING = Scene(6, 8, 0.06, 0.4), Embedding(5, 7)
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def weights(camera: Camera = CAMERA) -> Tensor:

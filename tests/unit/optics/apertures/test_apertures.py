@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.unit.optics.tensors import seeded
 
 from veilcam_optics.apertures import (
     diffuser_height,
@@ -25,10 +26,6 @@ from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid
 
 WAVELENGTH = 550e-9
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.mark.parametrize("order", [2, 5, 6])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 import torch
+from tests.unit.optics.tensors import mask, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -101,18 +102,9 @@ CALLED = {
 }
 
 
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 def scenes(count: int = 3, scene: Scene = SCENE) -> Tensor:
     generator = torch.Generator().manual_seed(1)
     return torch.rand(count, *scene.shape, generator=generator, dtype=torch.float64)
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 def model_of(called: Called, **sampling: object) -> Model:

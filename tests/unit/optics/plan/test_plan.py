@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from torch import Tensor
+from tests.unit.optics.tensors import mask, relative
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -40,19 +40,10 @@ SOME = Conditions(
 )
 
 
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 @pytest.fixture(scope="module")
 def of_some() -> Plan:
     """A plan to one in a thousand under many conditions."""
     return plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 @pytest.mark.thorough

@@ -8,6 +8,7 @@ import math
 import pytest
 import torch
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
+from tests.unit.optics.tensors import relative
 from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
@@ -25,10 +26,6 @@ WAVELENGTH, DISTANCE = 550e-9, 1e-3
 SHAPES = [(8, 8), (7, 7), (1, 9), (6, 1), (5, 8)]
 
 every_method = pytest.mark.parametrize("method", VARIANTS, ids=repr)
-
-
-def relative(got: Tensor, wanted: Tensor) -> float:
-    return float((got - wanted).norm() / wanted.norm())
 
 
 def noise(*shape: int, seed: int = 0, dtype: torch.dtype = torch.complex128) -> Tensor:

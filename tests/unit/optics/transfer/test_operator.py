@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.unit.optics.tensors import assert_same, mask, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -24,21 +25,6 @@ SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns
 LEAKY = replace(SMALL, panel=Panel(filter_leakage=0.1))
 SCENE = Scene(rows=4, columns=3, height=0.03)
 EMBEDDING = Embedding(rows=4, columns=5)
-
-
-def assert_same(value: Tensor, reference: Tensor) -> None:
-    """Equal but for rounding."""
-    # Sums in float64 of fewer than 1000 terms, in any order: 1000 units of 1.1e-16, ten times over;
-    # entries that far below the largest, 1e-2, are sums of terms that cancel.
-    torch.testing.assert_close(value, reference, rtol=1e-12, atol=1e-14)
-
-
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    return random_mask(camera, torch.Generator().manual_seed(seed)).double()
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 def test_box_kernel_equals_a_dense_integral() -> None:
