@@ -166,9 +166,7 @@ def test_lengths_in_another_unit_are_named(made: Callable[[], object], message: 
         ),
     ],
 )
-def test_sizes_beyond_memory_are_refused_beforehand(
-    door: Callable[[Camera], object],
-) -> None:
+def test_sizes_beyond_memory_are_refused_beforehand(door: Callable[[Camera], object]) -> None:
     """The picture of a scene of 2 cm is 50 m wide, a kilometre behind the mask."""
     with pytest.raises(OpticsError, match=r"asks for .* bytes of this machine's"):
         door(replace(CAMERA, distance=1e3))

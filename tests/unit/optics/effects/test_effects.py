@@ -175,14 +175,7 @@ def test_effect_is_on_in_a_plan_where_it_matters(effect: Effect) -> None:
     assert found.reason in " ".join(chosen.explain().split()) or len(found.reason) > 60
 
 
-OF_THE_SENSOR = {
-    "Bayer pattern",
-    "shot noise",
-    "read noise",
-    "full well",
-    "ADC",
-    "black level",
-}
+OF_THE_SENSOR = {"Bayer pattern", "shot noise", "read noise", "full well", "ADC", "black level"}
 
 ALWAYS = {
     "diffraction",

@@ -30,10 +30,7 @@ def model(cycle: tuple[int, ...] = ()) -> Model:
         filter_cycle=cycle,
     )
     camera = Camera(
-        panel=panel,
-        window=Window(8, 4, 0, 0),
-        sensor=Sensor(24, 24, 10e-6),
-        distance=1e-3,
+        panel=panel, window=Window(8, 4, 0, 0), sensor=Sensor(24, 24, 10e-6), distance=1e-3
     )
     return Model(camera, Scene(4, 4, 0.02, 0.1), Embedding(4, 4), PARAXIAL)
 

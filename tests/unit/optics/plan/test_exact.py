@@ -135,10 +135,7 @@ def test_only_the_grid_counts_large_angles(method: str) -> None:
 def small(**changes: object) -> Camera:
     """3 x 2 apertures of 80 um, whose shadows fill the sensor 4 mm behind them."""
     camera = Camera(
-        panel=square(100e-6, 5, 4),
-        window=Window(3, 2),
-        sensor=Sensor(7, 9, 30e-6),
-        distance=4e-3,
+        panel=square(100e-6, 5, 4), window=Window(3, 2), sensor=Sensor(7, 9, 30e-6), distance=4e-3
     )
     return replace(camera, **changes)  # type: ignore[arg-type]
 

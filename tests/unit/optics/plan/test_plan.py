@@ -245,9 +245,7 @@ def test_total_over_conditions(
 ) -> None:
     """The short form embeds what a plan says takes less than 0.3 s; the long one all."""
     camera = Camera(
-        window=Window(rows, columns),
-        sensor=Sensor(rows=80, columns=100),
-        distance=10**distance,
+        window=Window(rows, columns), sensor=Sensor(rows=80, columns=100), distance=10**distance
     )
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf

@@ -15,12 +15,7 @@ from veilcam_optics.transfer.grid import GridLight
 
 CAMERA = Camera(
     panel=Panel(
-        rows=24,
-        columns=12,
-        pitch_y=60e-6,
-        pitch_x=90e-6,
-        aperture_y=50e-6,
-        aperture_x=70e-6,
+        rows=24, columns=12, pitch_y=60e-6, pitch_x=90e-6, aperture_y=50e-6, aperture_x=70e-6
     ),
     window=Window(rows=7, columns=4, first_row=8, first_column=4),
     sensor=Sensor(rows=320, columns=402),

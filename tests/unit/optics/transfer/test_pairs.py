@@ -33,13 +33,7 @@ def masks_of(camera: Camera, count: int) -> Tensor:
 
 def make(*, colour: bool = False) -> TransferOperator:
     return TransferOperator(
-        CAMERA,
-        SCENE,
-        EMBEDDING,
-        reach=Reach(3, 1),
-        step=3e-6,
-        colour=colour,
-        dtype=torch.float64,
+        CAMERA, SCENE, EMBEDDING, reach=Reach(3, 1), step=3e-6, colour=colour, dtype=torch.float64
     )
 
 

@@ -38,13 +38,7 @@ def test_all_terms_agree_far_better(panel: Panel) -> None:
     weights = mask(camera)
     truth = reference_transfer(camera, SCENE, EMBEDDING, weights, oversampling=24, colour=True)
     operator = TransferOperator(
-        camera,
-        SCENE,
-        EMBEDDING,
-        reach=Reach(6, 2),
-        step=0.4e-6,
-        colour=True,
-        dtype=torch.float64,
+        camera, SCENE, EMBEDDING, reach=Reach(6, 2), step=0.4e-6, colour=True, dtype=torch.float64
     )
     assert truth.shape == (3, 12, 20)
     assert relative(operator(weights), truth) < 3e-5
