@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import pytest
 import torch
 from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.psf import PointSpread
@@ -67,7 +66,7 @@ def test_each_colour_is_propagated_at_its_own_wavelength() -> None:
     assert float(powers[1:].sum()) == 0
 
 
-@pytest.mark.parametrize("oversampling", [1.0, 1.5, 2.0, 3.3])
+@pytest.mark.parametrize("oversampling", [1.0, 1.37, 2.0, 3.3, 4.0])
 def test_open_area_is_not_floored(oversampling: float) -> None:
     """Whole samples only would leave 0.77 of the open area."""
     light = GridLight(CAMERA, SCENE, oversampling)
@@ -124,11 +123,3 @@ def test_binning_reads_every_pixel() -> None:
         image[row, column] = 1
         binned = area_average(image, 24, 32)
         assert float(binned.sum()) * (380 * 507) / (24 * 32) == pytest.approx(1)
-
-
-@pytest.mark.parametrize("value", [-4e-3, 0.0, math.nan, math.inf])
-def test_impossible_cameras_are_refused_with_unit_and_remedy(value: float) -> None:
-    with pytest.raises(OpticsError, match=r"camera\.distance = .* m is not valid: use"):
-        Camera(distance=value)
-    with pytest.raises(OpticsError, match=r"aperture_y = .* m is not valid: use at most the pitch"):
-        Panel(aperture_y=1e-3)

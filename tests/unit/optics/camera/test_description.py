@@ -100,7 +100,10 @@ def test_one_wavelength_fill_factor_and_a_centred_window() -> None:
         ("wavelength = 633e-9", "wavelengths = [5e-7]", r"wavelengths = .*\[R, G, B\]"),
         ("distance = 5e-3", "distance = -1", r"camera\.distance = -1.0 m"),
         ("distance = 5e-3", "distance = ", "no TOML"),
-        ("distance = 5e-3", "distance = nan", r"camera\.distance = nan m"),
+        *(
+            ("distance = 5e-3", f"distance = {value}", rf"camera\.distance = {value} m .*: use")
+            for value in ("nan", "inf", "0.0")
+        ),
         ("pixel = 2e-6", "pixel = 2e-6\nchannel_weights = [0.5, 0.5]", "channel_weights"),
     ],
 )

@@ -8,6 +8,7 @@ from functools import cache
 
 import pytest
 import torch
+from tests.unit.optics.tensors import bare
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -183,9 +184,7 @@ def test_sizes_beyond_memory_are_refused_beforehand(door: Callable[[Camera], obj
 )
 def test_grids_too_coarse_for_the_panel_are_refused(door: Callable[[Camera], object]) -> None:
     """Two samples across an aperture of 6.6 um are many per cent off."""
-    panel = Panel(
-        pitch_y=8e-6, pitch_x=8e-6, aperture_y=6.56e-6, aperture_x=6.56e-6, filter_cycle=()
-    )
+    panel = bare(8e-6, 6.56e-6)
     fine = replace(CAMERA, panel=panel)
     with pytest.raises(OpticsError, match=r"oversampling = 4.* at least 4\.54, for 2\.4 samples"):
         door(fine)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.unit.optics.tensors import mask, relative
+from tests.unit.optics.tensors import bare, mask, relative
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -418,9 +418,7 @@ def test_field_angle_of_the_scene_is_in_the_plan() -> None:
 
 def test_light_at_large_angles_is_in_the_budget() -> None:
     """Sub-pixels of two wavelengths spread it so far that no factored field is right."""
-    fine = Panel(
-        pitch_y=1.2e-6, pitch_x=1.2e-6, aperture_y=1.2e-6, aperture_x=1.2e-6, filter_cycle=()
-    )
+    fine = bare(1.2e-6, 1.2e-6)
     camera = Camera(panel=fine, window=Window(4, 4), sensor=Sensor(8, 8, 1e-6), distance=2e-5)
     chosen = plan(camera, Scene(2, 2, height=0.02), Embedding(2, 2), 1e-3, method="transfer")
     found = {each.name: each for each in chosen.assessments}
@@ -432,7 +430,7 @@ def test_light_at_large_angles_is_in_the_budget() -> None:
 
 def test_far_interference_that_was_not_looked_at_is_bounded() -> None:
     """Fringes wider than pixels do not fade with what is apart: every pair may count."""
-    panel = Panel(pitch_y=3e-6, pitch_x=3e-6, aperture_y=3e-6, aperture_x=3e-6, filter_cycle=())
+    panel = bare(3e-6, 3e-6)
     camera = Camera(panel=panel, window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3)
     scene = Scene(2, 2, height=0.005)
     chosen = plan(camera, scene, Embedding(16, 16), 1e-2, PARAXIAL)

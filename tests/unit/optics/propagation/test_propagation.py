@@ -13,7 +13,6 @@ from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum, Propagator
-from veilcam_optics.propagation.base import unit_phasor
 from veilcam_optics.propagation.sampling import Grid
 
 VARIANTS: tuple[Propagator, ...] = (
@@ -71,25 +70,6 @@ def test_linear_and_batch_equals_loop(method: Propagator) -> None:
     assert relative(both, run(a) + 2j * run(b)) < 1e-13
     single = torch.stack([torch.stack([run(f) for f in line]) for line in a])
     assert relative(run(a), single) < 1e-13
-
-
-@pytest.mark.thorough
-@every_method
-@pytest.mark.parametrize("scaled", [False, True])
-def test_gradcheck_of_everything_physical(method: Propagator, scaled: bool) -> None:
-    field = noise(4, 5).requires_grad_()
-    # In units in which a step of gradcheck is small: micrometres and millimetres.
-    numbers = [
-        torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in (1.0, 0.55, 5.0)
-    ]
-
-    def arrived(values: Tensor, distance: Tensor, wavelength: Tensor, pitch: Tensor) -> Tensor:
-        source = Grid.square(4, 5, pitch * 1e-6)
-        step = pitch * 0.83e-6 if scaled else source.pitch_y
-        target = Grid(3, 4, step, step, centre_x=2e-6)
-        return method.prepare(source, target, distance * 1e-3, wavelength * 1e-6)(values)
-
-    assert torch.autograd.gradcheck(arrived, (field, *numbers), eps=1e-7, atol=1e-4, rtol=1e-4)
 
 
 @every_method
@@ -281,27 +261,3 @@ def test_supports_says_why_not() -> None:
     assert "fringes" in AngularSpectrum().supports(near, near, 1.0, WAVELENGTH).reason
     fine = Grid.square(64, 64, 0.5e-6)
     assert AngularSpectrum().supports(fine, fine, 2e-5, WAVELENGTH)
-
-
-def test_phase_keeps_its_digits_in_single_precision() -> None:
-    """Against mpmath: 4 m at 550 nm is 7 million turns, which float32 alone cannot hold."""
-    mpmath = pytest.importorskip("mpmath")
-
-    grid = Grid.square(1, 64, 12.4e-6)
-    for distance in (4e-3, 0.4, 4.0):
-        squared = grid.x().square()
-        r = (squared + distance**2).sqrt()
-        phase = 2 * torch.pi / WAVELENGTH * squared / (r + distance)
-        got = unit_phasor(phase, torch.complex64)
-        with mpmath.workdps(50):
-            z, wl = mpmath.mpf(distance), mpmath.mpf(WAVELENGTH)
-            wanted = [
-                complex(mpmath.expjpi(2 * (mpmath.sqrt(mpmath.mpf(x) ** 2 + z**2) - z) / wl))
-                for x in grid.x().tolist()
-            ]
-        error = (got.to(torch.complex128) - torch.tensor(wanted)).abs().max()
-        # Between 4 and 2 pi half a unit of float32 is 2^-22; cosine and sine, good to one unit of
-        # theirs, 2^-24, add less than 2^-23 together.
-        assert float(error) < 2**-22 + 2**-23
-    with pytest.raises(OpticsError, match="float64"):
-        unit_phasor(torch.zeros(3), torch.complex64)
