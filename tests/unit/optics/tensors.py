@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Panel
+from veilcam_optics.camera.geometry import Camera, Panel, Scene
 
 
 def seeded(seed: int = 0) -> torch.Generator:
@@ -14,6 +14,16 @@ def seeded(seed: int = 0) -> torch.Generator:
 
 def mask(camera: Camera, seed: int = 0) -> Tensor:
     return torch.rand(camera.mask_shape, generator=seeded(seed), dtype=torch.float64)
+
+
+def smooth_scenes(scene: Scene, count: int, seed: int) -> Tensor:
+    """Sums of a few random blobs, in [0, 1]."""
+    generator = seeded(seed)
+    size = torch.tensor(scene.shape)
+    centres = size * torch.rand(count, 3, 2, generator=generator)
+    y = torch.exp(-((torch.arange(scene.rows) + 0.5 - centres[..., :1]) ** 2) / 3)
+    x = torch.exp(-((torch.arange(scene.columns) + 0.5 - centres[..., 1:]) ** 2) / 3)
+    return (y[..., :, None] * x[..., None, :]).sum(1).clamp(0, 1)
 
 
 def bare(pitch: float, aperture: float) -> Panel:

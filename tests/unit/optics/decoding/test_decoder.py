@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from tests.unit.optics.tensors import seeded
+from tests.unit.optics.tensors import seeded, smooth_scenes
 from torch import Tensor
 
 from veilcam_optics.arrays import cholesky
@@ -46,17 +46,7 @@ PIXELS = SCENE.rows * SCENE.columns
 DOUBLE = torch.float64
 
 
-def smooth_scenes(count: int, seed: int, scene: Scene = SCENE) -> Tensor:
-    """Sums of a few random blobs, in [0, 1]."""
-    generator = seeded(seed)
-    size = torch.tensor(scene.shape)
-    centres = size * torch.rand(count, 3, 2, generator=generator)
-    y = torch.exp(-((torch.arange(scene.rows) + 0.5 - centres[..., :1]) ** 2) / 3)
-    x = torch.exp(-((torch.arange(scene.columns) + 0.5 - centres[..., 1:]) ** 2) / 3)
-    return (y[..., :, None] * x[..., None, :]).sum(1).clamp(0, 1)
-
-
-STATISTICS = fit_statistics([smooth_scenes(4000, 0)], PIXELS)
+STATISTICS = fit_statistics([smooth_scenes(SCENE, 4000, 0)], PIXELS)
 
 
 def mask(seed: int = 0) -> Tensor:
@@ -91,7 +81,7 @@ def textbook(
 def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
     """Both forms: 12 and 48 numbers factor E x E, 192 factor rank x rank."""
     decoding = make(Embedding(*shape))
-    weights, scenes = mask().double(), smooth_scenes(20, 1).double()
+    weights, scenes = mask().double(), smooth_scenes(SCENE, 20, 1).double()
     generator = seeded(2)
     measurements = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
     decoder = decoding.prepare(weights)
@@ -109,7 +99,7 @@ def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
 def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
     low = STATISTICS.truncate(8)
     full, reduced = make(Embedding(12, 16)), make(Embedding(12, 16), statistics=low)
-    scenes, weights = smooth_scenes(400, 1).double(), mask().double()
+    scenes, weights = smooth_scenes(SCENE, 400, 1).double(), mask().double()
     generator = seeded(2)
     measurements = shot_noise(full.operator.embed(scenes, weights), 40.0, generator)
     exact, cheap = full.prepare(weights), reduced.prepare(weights)
@@ -191,7 +181,7 @@ def test_scenes_in_another_unit_are_decoded_in_that_unit(scale: float) -> None:
         make(Embedding(6, 8), statistics=statistics).prepare(mask().double())
         for statistics in (STATISTICS, scaled)
     )
-    scenes = smooth_scenes(3, 1).double()
+    scenes = smooth_scenes(SCENE, 3, 1).double()
     measurements = make(Embedding(6, 8)).operator.embed(scenes, mask().double())
     found, wanted = other(scale * measurements), scale * one(measurements)
     # Statistics are float32: scaling rounds them by 6e-8, which 40 dB can amplify a hundredfold.
@@ -247,7 +237,7 @@ def test_types_of_each_precision() -> None:
 def test_precision_is_bounded(shape: tuple[int, int]) -> None:
     weights = quantise(mask(3), CAMERA.panel)
     exact = make(Embedding(*shape))
-    scenes = smooth_scenes(50, 4).double()
+    scenes = smooth_scenes(SCENE, 50, 4).double()
     generator = seeded(2)
     measurements = shot_noise(exact.operator.embed(scenes, weights.double()), 40.0, generator)
     wanted = exact.prepare(weights)(measurements)
@@ -281,7 +271,7 @@ def test_posterior_deviation_is_the_error_that_is_made() -> None:
 @pytest.mark.parametrize("gain", [0.3, 7.0])
 def test_gain_is_undone(gain: float) -> None:
     decoding = make(Embedding(6, 8))
-    weights, scenes = mask().double(), smooth_scenes(10, 1).double()
+    weights, scenes = mask().double(), smooth_scenes(SCENE, 10, 1).double()
     measurements = decoding.operator.embed(scenes, weights)
     wanted = decoding.prepare(weights)(measurements)
     assert torch.allclose(
@@ -296,7 +286,7 @@ def test_gain_is_undone(gain: float) -> None:
 
 def test_dead_rows_are_decoded_if_known() -> None:
     decoding = make(Embedding(12, 16))
-    told, scenes = mask().double(), smooth_scenes(100, 1).double()
+    told, scenes = mask().double(), smooth_scenes(SCENE, 100, 1).double()
     shown = Imperfections(dead_rows=(3, 17, 40), dead_transmittance=0.8).shown(told)
     assert torch.equal(shown[17], torch.full((22,), 0.8, dtype=DOUBLE))
     assert torch.equal(shown[16], told[16])
@@ -315,7 +305,7 @@ def test_model_error_makes_a_displaced_panel_bearable() -> None:
     embedding = Embedding(12, 16)
     displaced = replace(CAMERA, distance=CAMERA.distance + 600e-6)
     truth = TransferOperator(displaced, SCENE, embedding, dtype=DOUBLE)
-    scenes, weights = smooth_scenes(100, 1).double(), mask().double()
+    scenes, weights = smooth_scenes(SCENE, 100, 1).double(), mask().double()
     measurements = truth.embed(scenes, weights)
     trusting = make(embedding).prepare(weights)
     wary = make(embedding, noise=MeasurementNoise(model_error=0.03)).prepare(weights)
@@ -327,7 +317,7 @@ def test_model_error_makes_a_displaced_panel_bearable() -> None:
 
 def test_expected_noise_is_the_noise_that_is_made() -> None:
     decoding = make(Embedding(6, 8), noise=MeasurementNoise(snr_db=20.0))
-    scenes, weights = smooth_scenes(3000, 6).double(), mask().double()
+    scenes, weights = smooth_scenes(SCENE, 3000, 6).double(), mask().double()
     clean = decoding.operator.embed(scenes, weights).flatten(1)
     noisy = shot_noise(clean, 20.0, seeded(0))
     seen = (noisy - clean).square().mean(0)
@@ -370,7 +360,7 @@ def test_decoder_shows_nothing_of_the_mask() -> None:
 
 
 def test_statistics_are_mean_and_covariance() -> None:
-    scenes = smooth_scenes(500, 8)
+    scenes = smooth_scenes(SCENE, 500, 8)
     flat = scenes.flatten(1).double()
     whole = fit_statistics([scenes], PIXELS)
     parts = fit_statistics(torch.split(scenes, 130), PIXELS)
@@ -423,7 +413,7 @@ def prepare(**options: Any) -> Decoder:
         (lambda: MeasurementNoise(math.inf), "snr_db"),
         (lambda: MeasurementNoise(model_error=-1), "model_error"),
         (lambda: fit_statistics([], 3), "at least two"),
-        (lambda: fit_statistics([smooth_scenes(5, 0)], 0), "rank"),
+        (lambda: fit_statistics([smooth_scenes(SCENE, 5, 0)], 0), "rank"),
         (lambda: fit_statistics([torch.zeros(3, 4, n) for n in (4, 5)], 2), "pixels each"),
         (lambda: STATISTICS.truncate(PIXELS + 1), "rank"),
         (

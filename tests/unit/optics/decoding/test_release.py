@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import chi2
-from tests.unit.optics.tensors import seeded
+from tests.unit.optics.tensors import seeded, smooth_scenes
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
@@ -29,18 +29,8 @@ def key_of(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def smooth_scenes(count: int, seed: int) -> Tensor:
-    """Sums of a few random blobs, in [0, 1]."""
-    generator = seeded(seed)
-    centres = 10 * torch.rand(count, 3, 2, generator=generator)
-    grid = torch.arange(10.0)
-    y = torch.exp(-((grid[:, None] - centres[..., None, None, 0]) ** 2) / 4)
-    x = torch.exp(-((grid - centres[..., None, None, 1]) ** 2) / 4)
-    return (y * x).sum(1).clamp(0, 1)
-
-
 def make_decoding(precision: Precision = Precision.MIXED) -> SceneDecoding:
-    statistics = fit_statistics([smooth_scenes(3000, 0)], 60)
+    statistics = fit_statistics([smooth_scenes(SCENE, 3000, 0)], 60)
     operator = TransferOperator(CAMERA, SCENE, EMBEDDING, dtype=getattr(torch, precision.products))
     return SceneDecoding(operator, statistics, precision=precision)
 
@@ -56,7 +46,7 @@ def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder,
     decoder = decoding.prepare(weights)
     random = seeded(len(name))
     dtype = decoding.operator.dtype
-    scenes = smooth_scenes(count, 1000 + len(name)).to(dtype)
+    scenes = smooth_scenes(SCENE, count, 1000 + len(name)).to(dtype)
     measurements = decoding.operator.embed(scenes, weights.to(dtype)).float()
     return decoder, shot_noise(measurements, 40.0, random)
 

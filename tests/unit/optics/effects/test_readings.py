@@ -18,34 +18,6 @@ from veilcam_optics.effects.sensor import over_light
 from veilcam_optics.plan.reading import converted
 
 
-def test_counted_photons_have_the_variance_of_their_mean() -> None:
-    values = torch.full((1, 200_000), 0.02, dtype=torch.float64)
-    counted = read(measurement_model(Conditions(electrons=500.0)), values, seeded(0))
-    electrons = counted * 500
-    assert float(electrons.mean()) == pytest.approx(10, rel=0.01)
-    assert float(electrons.var()) == pytest.approx(10, rel=0.02)
-    assert float((electrons - electrons.round()).abs().max()) < 1e-9
-    quiet = read(measurement_model(Conditions(electrons=500.0), shot=False), values)
-    assert torch.allclose(quiet, values)
-
-
-def test_measurements_are_noisy_saturate_and_are_rounded() -> None:
-    values = torch.linspace(0, 1, 4001, dtype=torch.float64)[None]
-    generator = seeded(0)
-    noisy = read(
-        measurement_model(Conditions(electrons=1e4, read_noise=50), shot=False), values, generator
-    )
-    assert float((noisy - values).std()) == pytest.approx(50 / 1e4, rel=0.05)
-    full = read(measurement_model(Conditions(electrons=1e4, full_well=3e3), shot=False), values)
-    assert float(full.max()) == pytest.approx(0.3)
-    rounded = read(measurement_model(Conditions(adc_bits=3, black_level=0.1)), values)
-    assert len(set(rounded.flatten().tolist())) == 7  # 0.1 is above the lowest of eight
-    assert float(rounded.max()) == 1
-    assert torch.allclose(
-        read(measurement_model(Conditions(black_level=0.1)), values), values + 0.1
-    )
-
-
 def test_measurement_passes_gradients_straight_through() -> None:
     values = torch.rand(2, 9, dtype=torch.float64, requires_grad=True)
     conditions = Conditions(electrons=1e3, read_noise=2.0, adc_bits=8, adc_range=2.0)
