@@ -57,13 +57,6 @@ def test_each_colour_is_propagated_at_its_own_wavelength() -> None:
         same = GridLight(alone, SCENE, 2).psf(weights())
         assert torch.allclose(psf[channel], same[0], rtol=1e-10)
     assert camera.wavelengths[0] > camera.wavelengths[1] > camera.wavelengths[2]
-    # And a filter for red passes rows of channel 0.
-    filtered = GridLight(CAMERA, SCENE, 1)
-    rows = torch.zeros(CAMERA.mask_shape, dtype=torch.float64)
-    rows[0] = 1  # panel row 180, the first of a cycle: R
-    powers = filtered.psf(rows).sum((1, 2))
-    assert float(powers[0]) > 0
-    assert float(powers[1:].sum()) == 0
 
 
 @pytest.mark.parametrize("oversampling", [1.0, 1.37, 2.0, 3.3, 4.0])

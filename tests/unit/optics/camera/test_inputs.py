@@ -141,22 +141,6 @@ def test_both_ends_are_taken_and_what_rounding_makes_of_them(value: float) -> No
 
 
 @pytest.mark.parametrize(
-    ("made", "message"),
-    [
-        (
-            lambda: replace(CAMERA, wavelengths=(640e-9, 550.0, 460e-9)),
-            r"camera.wavelengths\[G\] = 550.0 m is not valid: use 1e-08 to 0.001",
-        ),
-        (lambda: Panel(pitch_y=73.0, aperture_y=60.0), r"panel.pitch_y = 73.0 m .* 1e-08 to 0.1"),
-        (lambda: Sensor(pixel=1.55), r"sensor.pixel = 1.55 m is not valid: use 1e-08 to 0.1"),
-    ],
-)
-def test_lengths_in_another_unit_are_named(made: Callable[[], object], message: str) -> None:
-    with pytest.raises(OpticsError, match=message):
-        made()
-
-
-@pytest.mark.parametrize(
     "door",
     [
         lambda far: GridLight(far, SCENE),

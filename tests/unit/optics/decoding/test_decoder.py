@@ -96,22 +96,6 @@ def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
     )
 
 
-def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
-    low = STATISTICS.truncate(8)
-    full, reduced = make(Embedding(12, 16)), make(Embedding(12, 16), statistics=low)
-    scenes, weights = smooth_scenes(SCENE, 400, 1).double(), mask().double()
-    generator = seeded(2)
-    measurements = shot_noise(full.operator.embed(scenes, weights), 40.0, generator)
-    exact, cheap = full.prepare(weights), reduced.prepare(weights)
-    assert bool((cheap.noise > exact.noise).all())
-    errors = [float((d(measurements) - scenes).square().sum()) for d in (exact, cheap)]
-    assert errors[0] < errors[1]
-    # Without counting it, the strong components would be distorted by the weak ones.
-    ignoring = SceneStatistics(low.mean, low.basis, torch.zeros_like(low.residual))
-    naive = make(Embedding(12, 16), statistics=ignoring).prepare(weights)
-    assert errors[1] < float((naive(measurements) - scenes).square().sum())
-
-
 @pytest.mark.parametrize("rank", [8, PIXELS])
 def test_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: int) -> None:
     decoding = make(Embedding(6, 8), statistics=STATISTICS.truncate(rank))
@@ -251,23 +235,6 @@ def test_precision_is_bounded(shape: tuple[int, int]) -> None:
     assert error(Precision.MIXED) < error(Precision.SINGLE) < 0.1
 
 
-def test_posterior_deviation_is_the_error_that_is_made() -> None:
-    """Scenes drawn from the Gaussian that the statistics describe: the estimate is then exact."""
-    decoding = make(Embedding(6, 8))
-    generator = seeded(5)
-    statistics = decoding.statistics
-    white = torch.randn(20_000, statistics.rank, generator=generator, dtype=DOUBLE)
-    scenes = statistics.mean + white @ statistics.basis.T
-    weights = mask().double()
-    decoder = decoding.prepare(weights)
-    measurements = scenes @ decoding.operator(weights)
-    measurements = measurements + decoder.noise.sqrt() * torch.randn(
-        measurements.shape, generator=generator, dtype=DOUBLE
-    )
-    error = (decoder(measurements).flatten(1) - scenes).square().mean(0).sqrt()
-    assert torch.allclose(error, decoder.deviation.flatten(), rtol=0.03, atol=1e-4)
-
-
 @pytest.mark.parametrize("gain", [0.3, 7.0])
 def test_gain_is_undone(gain: float) -> None:
     decoding = make(Embedding(6, 8))
@@ -282,23 +249,6 @@ def test_gain_is_undone(gain: float) -> None:
     assert float((uneven - scenes).square().mean()) < 1.2 * float((wanted - scenes).square().mean())
     ignored = decoding.prepare(weights)(measurements.flatten(1) * per_pixel)
     assert float((ignored - scenes).square().mean()) > float((wanted - scenes).square().mean())
-
-
-def test_dead_rows_are_decoded_if_known() -> None:
-    decoding = make(Embedding(12, 16))
-    told, scenes = mask().double(), smooth_scenes(SCENE, 100, 1).double()
-    shown = Imperfections(dead_rows=(3, 17, 40), dead_transmittance=0.8).shown(told)
-    assert torch.equal(shown[17], torch.full((22,), 0.8, dtype=DOUBLE))
-    assert torch.equal(shown[16], told[16])
-    assert float(told[17].std()) > 0.1  # the argument is left as it was
-    measurements = decoding.operator.embed(scenes, shown)
-
-    def error(weights: Tensor) -> float:
-        return float((decoding.prepare(weights)(measurements) - scenes).square().mean())
-
-    healthy = decoding.prepare(told)(decoding.operator.embed(scenes, told))
-    assert error(shown) < 1.5 * float((healthy - scenes).square().mean())
-    assert error(told) > 3 * error(shown)
 
 
 def test_model_error_makes_a_displaced_panel_bearable() -> None:

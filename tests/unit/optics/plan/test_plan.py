@@ -55,12 +55,8 @@ def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -
     chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
     masks = [mask(camera, seed) for seed in (11, 12)]
     measured = torch.stack([chosen.transfer(weights) for weights in masks]).double()
-    truth = torch.stack(
-        [
-            reference_transfer(camera, SCENE, EMBEDDING, weights, oversampling=16)
-            for weights in masks
-        ]
-    )
+    exact = (reference_transfer(camera, SCENE, EMBEDDING, w, oversampling=16) for w in masks)
+    truth = torch.stack(list(exact))
     assert chosen.reached
     assert chosen.error <= tolerance
     assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
@@ -82,14 +78,8 @@ def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
 def test_dials_that_are_cheaper_would_not_have_done() -> None:
     """By hand: every smaller reach is outside the tolerance."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
-    finest = LightOperator(
-        replace(
-            chosen.model,
-            sampling=replace(
-                chosen.model.sampling, reach=Reach(11, 5), step=1e-6, dtype=torch.float64
-            ),
-        )
-    )(mask(CAMERA))
+    fine = chosen.model.with_sampling(reach=Reach(11, 5), step=1e-6, dtype=torch.float64)
+    finest = LightOperator(fine)(mask(CAMERA))
     reach = chosen.model.sampling.reach
     assert reach != Reach(0, 0)
     for rows in range(reach.rows + 1):
@@ -140,15 +130,12 @@ def test_operator_learns_through_a_plan() -> None:
     assert losses[-1] < losses[0] / 20
 
 
+NEAR_AND_FINE = replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5)
+DARK = replace(CAMERA, panel=Panel(filter_cycle=(0,)), window=Window(3, 3))
+GREEN = replace(CAMERA, sensor=Sensor(500, 600, channel_weights=(0.0, 1.0, 0.0)))
 EXTREMES = [
     ("near", replace(CAMERA, distance=1e-6), SCENE, EMBEDDING, 1e-3),
-    (
-        "near and fine",
-        replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5),
-        SCENE,
-        Embedding(50, 60),
-        1e-4,
-    ),
+    ("near and fine", NEAR_AND_FINE, SCENE, Embedding(50, 60), 1e-4),
     ("far", replace(CAMERA, distance=1.0), SCENE, EMBEDDING, 1e-2),
     ("very far", replace(CAMERA, distance=1e3), SCENE, EMBEDDING, 1e-2),
     ("ultraviolet", replace(CAMERA, wavelengths=(2e-7,) * 3), SCENE, EMBEDDING, 1e-3),
@@ -164,20 +151,8 @@ EXTREMES = [
     ("stars", CAMERA, Scene(5, 4, height=1e9, distance=1e12), EMBEDDING, 1e-2),
     ("no tolerance to speak of", CAMERA, SCENE, EMBEDDING, 0.99),
     ("impossible tolerance", replace(CAMERA, window=Window(6, 3)), SCENE, EMBEDDING, 1e-300),
-    (
-        "dark channels",
-        replace(CAMERA, panel=Panel(filter_cycle=(0,)), window=Window(3, 3)),
-        SCENE,
-        EMBEDDING,
-        1e-3,
-    ),
-    (
-        "green alone",
-        replace(CAMERA, sensor=Sensor(500, 600, channel_weights=(0.0, 1.0, 0.0))),
-        SCENE,
-        EMBEDDING,
-        1e-3,
-    ),
+    ("dark channels", DARK, SCENE, EMBEDDING, 1e-3),
+    ("green alone", GREEN, SCENE, EMBEDDING, 1e-3),
 ]
 
 

