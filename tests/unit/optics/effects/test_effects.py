@@ -164,7 +164,7 @@ def test_effect_is_on_in_a_plan_where_it_matters(effect: Effect) -> None:
         called.conditions,
         method=called.method if called.method == "grid" else None,
     )
-    found = {assessment.name: assessment for assessment in chosen.assessments}[effect.name]
+    found = {each.name: each for each in chosen.assessments}[effect.name]
     assert found.matters
     assert found.error > called.tolerance / 10
     assert found.reason in " ".join(chosen.explain().split()) or len(found.reason) > 60
@@ -298,24 +298,17 @@ def test_spectrum_is_an_average_over_wavelengths() -> None:
     called = Called(conditions, embedding=Embedding(60, 70))
     deviation = 60e-9 / 2.3548
     total, weight = torch.zeros(20, 4200, dtype=torch.float64), 0.0
-    r, g, b = CAMERA.wavelengths
     for step in range(-12, 13):
         away = step / 4
-        camera = replace(
-            CAMERA, wavelengths=(r + away * deviation, g + away * deviation, b + away * deviation)
-        )
+        red, green, blue = (length + away * deviation for length in CAMERA.wavelengths)
+        camera = replace(CAMERA, wavelengths=(red, green, blue))
         share = math.exp(-(away**2) / 2)
         operator = TransferOperator(
             camera, SCENE, called.embedding, reach=Reach(1, 0), dtype=torch.float64
         )
         total, weight = total + share * operator(mask(CAMERA)), weight + share
-    errors = [
-        relative(
-            LightOperator(model_of(called, wavelengths=count, reach=Reach(1, 0)))(mask(CAMERA)),
-            total / weight,
-        )
-        for count in (1, 2, 4)
-    ]
+    models = (model_of(called, wavelengths=count, reach=Reach(1, 0)) for count in (1, 2, 4))
+    errors = [relative(LightOperator(one)(mask(CAMERA)), total / weight) for one in models]
     assert errors[0] > 3 * errors[1]
     assert errors[2] < 1e-4
 
@@ -335,15 +328,8 @@ def test_depth_is_an_average_over_distances() -> None:
             dtype=torch.float64,
         )
         total = total + operator(mask(CAMERA)) / 60
-    errors = [
-        relative(
-            LightOperator(model_of(called, layers=count, reach=Reach(1, 0), step=4e-6))(
-                mask(CAMERA)
-            ),
-            total,
-        )
-        for count in (1, 3, 5)
-    ]
+    models = (model_of(called, layers=n, reach=Reach(1, 0), step=4e-6) for n in (1, 3, 5))
+    errors = [relative(LightOperator(one)(mask(CAMERA)), total) for one in models]
     assert errors[0] > 1e-2
     assert errors[2] < errors[1] < errors[0] / 3
     assert errors[2] < 2e-3

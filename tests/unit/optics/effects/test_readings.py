@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import pytest
 import torch
@@ -57,15 +56,9 @@ def test_every_setting_changes_the_measurements() -> None:
         return read(measurement_model(conditions, shot=shot), values, generator)
 
     first = measurements(base)
-    changes: list[dict[str, Any]] = [
-        {"electrons": 4000.0},
-        {"read_noise": 30.0},
-        {"full_well": 4000.0},
-        {"adc_bits": 10},
-        {"adc_range": 0.5},
-        {"black_level": 0.0},
-    ]
-    for change in changes:
-        assert not torch.equal(measurements(dataclasses.replace(base, **change)), first), change
+    changes = {"electrons": 4e3, "read_noise": 30.0, "full_well": 4e3, "adc_bits": 10}
+    for name, value in {**changes, "adc_range": 0.5, "black_level": 0.0}.items():
+        changed = dataclasses.replace(base, **{name: value})  # type: ignore[arg-type]
+        assert not torch.equal(measurements(changed), first), name
     assert not torch.equal(measurements(base, shot=False), first)
     assert torch.equal(measurements(base), first)

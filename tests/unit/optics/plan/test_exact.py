@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.oracle.jobs import Job, masks
-from tests.oracle.judge import computed, truth
+from tests.oracle.judge import computed, distance, truth
 from tests.unit.optics.tensors import bare, relative
 from torch import Tensor
 
@@ -37,7 +36,7 @@ def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
     job = Job(camera, scene, embedding, Conditions(), 1e-2, ((1, 1), (1, 1)))
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: 1e-4)
-    found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    found = distance(computed(chosen, weights), exact)
     assert unsure < found / 10
     assert found < 2 * chosen.error
     assert not chosen.reached or found < 3e-2
@@ -207,7 +206,7 @@ def test_errors_of_one_sign_add_up() -> None:
     job = Job(camera, scene, Embedding(1, 1), Conditions(), tolerance, ((5, 3), (5, 3)))
     weights = masks(job)
     exact, _ = truth(job, weights, lambda _: 1e-4)
-    found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    found = distance(computed(chosen, weights), exact)
     assert found == pytest.approx(chosen.error, rel=0.3)
 
 

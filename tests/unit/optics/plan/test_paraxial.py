@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tests.oracle.jobs import Job, draw, masks
-from tests.oracle.judge import computed, judge_job, truth
+from tests.oracle.judge import computed, distance, judge_job, truth
 from tests.oracle.physics import Array
 from tests.unit.optics.tensors import bare
 
@@ -53,7 +53,7 @@ def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
     chosen = chosen_by(job, method)
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: chosen.error / 4)
-    true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    true = distance(computed(chosen, weights), exact)
     assert unsure < true / 3
     return chosen.error, true
 
@@ -69,13 +69,7 @@ CASES = {
     "a dark gap between two apertures": Job(
         replace(
             camera(300e-6, (2, 1), 50e-6, 0.4e-3, 3e-6),
-            panel=Panel(
-                pitch_y=300e-6,
-                pitch_x=300e-6,
-                aperture_y=200e-6,
-                aperture_x=300e-6,
-                filter_cycle=(),
-            ),
+            panel=replace(bare(300e-6, 300e-6), aperture_y=200e-6),
         ),
         narrow(0.4e-3),
         Embedding(1, 1),
@@ -161,7 +155,7 @@ def test_turned_apertures_come_nearer_to_the_axis() -> None:
     weights = masks(job)
     exact, _ = truth(job, weights, lambda _: 1e-3)
     straight, unsure = truth(replace(job, conditions=Conditions()), weights, lambda _: 1e-3)
-    true = float(np.linalg.norm(straight - exact) / np.linalg.norm(exact))
+    true = distance(straight, exact)
     assert true > 5 * unsure
     assert true / 2 < rotated.error < 2 * true
 
