@@ -85,7 +85,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
         "contracts/test_defects.py::test_open_area_is_exact",
     ),
     "weights outside [0, 1] get no gradient": (
-        "unit/optics/test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",
+        "unit/optics/test_incumbent_defects.py::test_weights_at_the_ends_do_not_die",
         "contracts/test_defects.py::test_weights_at_the_ends_do_not_die",
     ),
     "more signal to noise than asked for": (

@@ -10,7 +10,6 @@ from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid, area_average
@@ -77,13 +76,8 @@ def test_dim_mask_stays_dim() -> None:
     assert torch.allclose(light.psf(mask / 2), light.psf(mask) / 4, rtol=1e-12)
 
 
-def test_weights_outside_the_range_are_refused_and_not_left_to_die() -> None:
+def test_weights_at_the_ends_do_not_die() -> None:
     light = GridLight(CAMERA, SCENE, 1)
-    for value in (-0.1, 1.1):
-        mask = weights()
-        mask[0, 0] = value
-        with pytest.raises(OpticsError, match=r"outside \[0, 1\]"):
-            light.psf(mask)
     edge = torch.ones(CAMERA.mask_shape, dtype=torch.float64)
     edge.requires_grad_()
     torch.autograd.backward(light.psf(edge).sum())
