@@ -89,23 +89,6 @@ def test_dials_that_are_cheaper_would_not_have_done() -> None:
                 assert relative(LightOperator(model)(mask(CAMERA)).double(), finest) > 0.8e-3
 
 
-def test_plan_equals_no_plan() -> None:
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, PARAXIAL)
-    sampling = chosen.model.sampling
-    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=sampling.reach, step=sampling.step)
-    scenes = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
-    weights = mask(CAMERA).float()
-    assert torch.equal(chosen.transfer(weights), plain(weights))
-    assert torch.equal(chosen.embed(scenes, weights), plain.embed(scenes, weights))
-
-
-@pytest.mark.slow
-def test_planning_twice_gives_the_same(of_some: Plan) -> None:
-    again = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
-    assert again.model == of_some.model
-    assert again.error == of_some.error
-
-
 @pytest.mark.slow
 def test_operator_learns_through_a_plan() -> None:
     """A mask is fitted to a transfer; the plan's operator passes the gradient."""
@@ -261,13 +244,6 @@ def test_batch_moves_work_to_where_it_is_cheaper() -> None:
     assert many.model.sampling.method == "transfer"
     assert few.cost.step_ms < many.cost.step_ms
     assert few.model.sampling.method == "factors"
-
-
-@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3, math.nan, math.inf])
-def test_impossible_tolerances_are_named(tolerance: float) -> None:
-    shown = re.escape(f"tolerance = {tolerance} (relative L2) is not valid: use a number between 0")
-    with pytest.raises(OpticsError, match=shown):
-        plan(CAMERA, SCENE, EMBEDDING, tolerance)
 
 
 def test_batch_of_none_is_named() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import pytest
@@ -22,7 +21,6 @@ VARIANTS: tuple[Propagator, ...] = (
     AngularSpectrum(band_limit=False),
 )
 WAVELENGTH, DISTANCE = 550e-9, 1e-3
-SHAPES = [(8, 8), (7, 7), (1, 9), (6, 1), (5, 8)]
 
 every_method = pytest.mark.parametrize("method", VARIANTS, ids=repr)
 
@@ -37,52 +35,6 @@ def smooth(grid: Grid, width: float, tilt: float = 0.0) -> Tensor:
     return torch.exp(-(y**2 + (x - width / 3) ** 2) / width**2) * torch.exp(
         1j * tilt * (y + 0.5 * x)
     )
-
-
-@every_method
-@pytest.mark.parametrize(("shape", "target_shape"), list(itertools.product(SHAPES, SHAPES[:3])))
-def test_adjoint_by_dot_product(
-    method: Propagator, shape: tuple[int, int], target_shape: tuple[int, int]
-) -> None:
-    """<P a, b> = <a, P* b>, with P* what autograd returns."""
-    source = Grid.square(*shape, 5e-6)
-    target = Grid(*target_shape, 5e-6, 5e-6, centre_y=3.3e-6, centre_x=-11e-6)
-    run = method.prepare(source, target, DISTANCE, WAVELENGTH)
-    a, b = noise(*shape).requires_grad_(), noise(*target_shape, seed=1)
-    arrived = run(a)
-    (adjoint,) = torch.autograd.grad(arrived, a, b)
-    left, right = (
-        torch.vdot(b.flatten(), arrived.flatten()),
-        torch.vdot(adjoint.flatten(), a.flatten()),
-    )
-    assert abs(complex((left - right).detach())) < 1e-12 * float(
-        (b.norm() * arrived.norm()).detach() + 1e-300
-    )
-
-
-@every_method
-def test_linear_and_batch_equals_loop(method: Propagator) -> None:
-    source, target = Grid.square(9, 6, 5e-6), Grid.square(7, 8, 5e-6)
-    run = method.prepare(source, target, DISTANCE, WAVELENGTH)
-    a, b = noise(2, 3, 9, 6), noise(2, 3, 9, 6, seed=2)
-    both = run(a + 2j * b)
-    assert both.shape == (2, 3, 7, 8)
-    assert relative(both, run(a) + 2j * run(b)) < 1e-13
-    single = torch.stack([torch.stack([run(f) for f in line]) for line in a])
-    assert relative(run(a), single) < 1e-13
-
-
-@every_method
-def test_single_precision_stays_single_and_close(method: Propagator) -> None:
-    source, target = Grid.square(16, 15, 5e-6), Grid.square(14, 16, 4e-6)
-    field = noise(16, 15)
-    exact = method.prepare(source, target, DISTANCE, WAVELENGTH)(field)
-    quick = method.prepare(source, target, DISTANCE, WAVELENGTH, dtype=torch.complex64)(
-        field.to(torch.complex64)
-    )
-    assert quick.dtype == torch.complex64
-    assert exact.dtype == torch.complex128
-    assert relative(quick.to(torch.complex128), exact) < 1e-6
 
 
 @every_method

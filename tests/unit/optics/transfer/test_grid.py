@@ -195,31 +195,6 @@ def test_average_over_the_sensor_does_not_depend_on_the_embedding() -> None:
         )
 
 
-def test_gradient_reaches_the_weights() -> None:
-    camera = dataclasses.replace(
-        CAMERA, window=Window(3, 2, 8, 4), sensor=Sensor(64, 72), distance=5e-4
-    )
-    scene, embedding = Scene(2, 2, 0.03, 0.3), Embedding(2, 3)
-    light = GridLight(camera, scene, 0.7)
-    picture = some_scenes(2, 2)
-    weights = (0.2 + 0.6 * some_weights(camera)).requires_grad_()
-
-    def embedded(values: Tensor) -> Tensor:
-        return light.embed(picture, light.psf(values), embedding)
-
-    assert torch.autograd.gradcheck(embedded, (weights,))
-
-
-def test_float32_agrees_with_float64() -> None:
-    exact = GridLight(CAMERA, SCENE, 2)
-    quick = GridLight(CAMERA, SCENE, 2, dtype=torch.float32)
-    scene = some_scenes(*SCENE.shape)
-    wanted = exact.embed(scene, exact.psf(some_weights()), EMBEDDING)
-    got = quick.embed(scene.float(), quick.psf(some_weights().float()), EMBEDDING)
-    assert got.dtype == torch.float32
-    assert relative(got, wanted) < 2e-6
-
-
 def test_bad_input_is_refused_without_telling_the_weights() -> None:
     light = GridLight(CAMERA, SCENE, 1)
     secret = some_weights()

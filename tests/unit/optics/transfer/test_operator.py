@@ -16,7 +16,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
+from veilcam_optics.transfer.factored import aperture_fields
 from veilcam_optics.transfer.kernels import box_kernel
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
@@ -107,13 +107,6 @@ def test_dropping_far_pairs_costs_little_and_is_monotone() -> None:
     assert rows < 2e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("colour", [False, True])
-def test_gradient_for_the_mask(colour: bool) -> None:
-    operator = made(reach=Reach(3, 1), colour=colour)
-    assert torch.autograd.gradcheck(operator, (mask(SMALL).requires_grad_(),))
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -138,11 +131,6 @@ def test_gradient_for_the_geometry(name: str, value: float | list[float]) -> Non
     assert torch.autograd.gradcheck(transfer, (one,), eps=1e-6, atol=1e-6, rtol=1e-3)
     moved = transfer(torch.full_like(unit, 1.05))
     assert relative(moved, transfer(torch.ones_like(unit))) > 1e-5, f"{name} changes nothing"
-
-
-def test_fresnel_integral_gradient() -> None:
-    t = torch.linspace(-3, 3, 13, dtype=torch.float64).requires_grad_()
-    assert torch.autograd.gradcheck(fresnel_integral, (t,))
 
 
 def test_units_open_panel_without_gaps_reads_one() -> None:
