@@ -438,7 +438,7 @@ def test_frame_file_is_refused_whole(tmp_path: Path) -> None:
         ({"scene": Scene(8, 8)}, "another scene"),
         ({"camera": replace(CAMERA, window=Window(5, 5))}, "another panel"),
     ):
-        path.write_bytes(dump_frame(replace(make_frame(), **changes)))  # type: ignore[arg-type]
+        path.write_bytes(dump_frame(replace(make_frame(), **changes)))
         with pytest.raises(OpticsError, match=message):
             read_frame(path)
 
