@@ -71,27 +71,15 @@ def _coded_cells(setting: Setting) -> Bound:
     grid = Grid.square(3 * setting.rows + 2, 2 * setting.columns + 3, setting.pitch)
     feature = 2.3 * setting.pitch
     return Bound(
-        lambda cells: lay_cells(cells, feature, grid),
-        (setting.rows, setting.columns),
-        grid.shape,
+        lambda cells: lay_cells(cells, feature, grid), (setting.rows, setting.columns), grid.shape
     )
 
 
 MEASUREMENTS: tuple[Operator, ...] = (
     Operator(
-        "coded aperture cells",
-        _coded_cells,
-        linear=True,
-        dtypes=(torch.float64,),
-        refuses=False,
+        "coded aperture cells", _coded_cells, linear=True, dtypes=(torch.float64,), refuses=False
     ),
-    Operator(
-        "phase plate",
-        _phase_plate,
-        batched=True,
-        dtypes=(torch.float64,),
-        refuses=False,
-    ),
+    Operator("phase plate", _phase_plate, batched=True, dtypes=(torch.float64,), refuses=False),
     Operator("background removal", _background, batched=True, dark=False, refuses=False),
     Operator("quantise", _quantise, batched=True, smooth=False, meta=True, refuses=False),
     Operator(

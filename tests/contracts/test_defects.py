@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -40,20 +41,10 @@ def operator(
     *,
     reach: Reach = Reach(1, 0),  # noqa: B008 - frozen
     step: float = 1.55e-6,
-    colour: bool = False,
-    beams: list[Beam] | None = None,
-    approximation: Approximation = Approximation(),  # noqa: B008 - frozen
+    **options: Any,
 ) -> TransferOperator:
     return TransferOperator(
-        camera,
-        SCENE,
-        EMBEDDING,
-        reach=reach,
-        step=step,
-        colour=colour,
-        dtype=torch.float64,
-        beams=beams,
-        approximation=approximation,
+        camera, SCENE, EMBEDDING, reach=reach, step=step, dtype=torch.float64, **options
     )
 
 

@@ -17,6 +17,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import unit_phasor
 from veilcam_optics.propagation.illumination import spherical_wave
@@ -121,6 +122,8 @@ def test_reduction_modulo_a_turn(dtype: torch.dtype) -> None:
     wanted = torch.exp(2j * torch.pi * (turns - turns.round()))
     # 1e7 turns are 6e7 rad; half a unit in float64's last place there is 4e-9 rad.
     assert float((got.to(torch.complex128) - wanted).abs().max()) < max(TOLERANCES[dtype], 2e-8)
+    with pytest.raises(OpticsError, match="float64"):
+        unit_phasor(torch.zeros(3), dtype)
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,7 @@ def _transfer_matrix(
         return Bound(lambda w: operator(w).reshape(result), setting.mask_shape, result)
 
     return Operator(
-        name,
-        bind,
-        quantities=LENGTHS,
-        mirror=((), (-3, -1)) if filters else ((-4, -2), (-3, -1)),
+        name, bind, quantities=LENGTHS, mirror=((), (-3, -1)) if filters else ((-4, -2), (-3, -1))
     )
 
 
@@ -209,12 +206,7 @@ TRANSFER: tuple[Operator, ...] = (
     _transfer_variant("transfer, plane wave", approximation=Approximation(plane_wave=True)),
     _transfer_variant("transfer, point binning", approximation=Approximation(point_binning=True)),
     Operator(
-        "decoder",
-        _decoder,
-        batched=True,
-        dtypes=(torch.float64,),
-        mirror=((), ()),
-        dark=False,
+        "decoder", _decoder, batched=True, dtypes=(torch.float64,), mirror=((), ()), dark=False
     ),
     Operator(
         "factored field",
@@ -233,12 +225,7 @@ TRANSFER: tuple[Operator, ...] = (
         forward=False,
     ),
     Operator(
-        "double integral",
-        _double_integral,
-        linear=True,
-        mirror=((), ()),
-        meta=True,
-        refuses=False,
+        "double integral", _double_integral, linear=True, mirror=((), ()), meta=True, refuses=False
     ),
     Operator("box kernel", _box_kernel, linear=True, mirror=((-2,), ()), meta=True, refuses=False),
 )

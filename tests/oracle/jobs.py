@@ -260,26 +260,16 @@ def light(job: Job) -> Light:
     panel, sensor, built = camera.panel, camera.sensor, job.conditions.imperfections
     pixel = scene.height / scene.rows
     y, x = (
-        Axis(apertures, pitch, fill[1], fill[0], size, pixels, scene_pixels, pixel, shift)
-        for apertures, pitch, fill, size, pixels, scene_pixels, shift in (
-            (
-                camera.window.rows,
-                panel.pitch_y,
-                job.fills[0],
-                sensor.rows * sensor.pixel,
-                embedding.rows,
-                scene.rows,
-                built.shift_y,
-            ),
-            (
-                camera.window.columns,
-                panel.pitch_x,
-                job.fills[1],
-                sensor.columns * sensor.pixel,
-                embedding.columns,
-                scene.columns,
-                built.shift_x,
-            ),
+        Axis(apertures, pitch, part, parts, size * sensor.pixel, pixels, points, pixel, shift)
+        for apertures, size, pixels, points, pitch, (parts, part), shift in zip(
+            camera.mask_shape,
+            (sensor.rows, sensor.columns),
+            embedding.shape,
+            scene.shape,
+            (panel.pitch_y, panel.pitch_x),
+            job.fills,
+            (built.shift_y, built.shift_x),
+            strict=True,
         )
     )
     return Light(

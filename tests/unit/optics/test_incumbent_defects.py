@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import pytest
 import torch
+from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.errors import OpticsError
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid, area_average
@@ -20,10 +19,6 @@ CAMERA = Camera(
     window=Window(12, 5, 180, 74), sensor=Sensor(760, 1016, pixel=1.55e-6), distance=4e-3
 )
 SCENE, EMBEDDING = Scene(6, 8, 0.06, 0.4), Embedding(5, 7)
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def weights(camera: Camera = CAMERA) -> Tensor:
@@ -61,16 +56,9 @@ def test_each_colour_is_propagated_at_its_own_wavelength() -> None:
         same = GridLight(alone, SCENE, 2).psf(weights())
         assert torch.allclose(psf[channel], same[0], rtol=1e-10)
     assert camera.wavelengths[0] > camera.wavelengths[1] > camera.wavelengths[2]
-    # And a filter for red passes rows of channel 0.
-    filtered = GridLight(CAMERA, SCENE, 1)
-    rows = torch.zeros(CAMERA.mask_shape, dtype=torch.float64)
-    rows[0] = 1  # panel row 180, the first of a cycle: R
-    powers = filtered.psf(rows).sum((1, 2))
-    assert float(powers[0]) > 0
-    assert float(powers[1:].sum()) == 0
 
 
-@pytest.mark.parametrize("oversampling", [1.0, 1.5, 2.0, 3.3])
+@pytest.mark.parametrize("oversampling", [1.0, 1.37, 2.0, 3.3, 4.0])
 def test_open_area_is_not_floored(oversampling: float) -> None:
     """Whole samples only would leave 0.77 of the open area."""
     light = GridLight(CAMERA, SCENE, oversampling)
@@ -88,13 +76,8 @@ def test_dim_mask_stays_dim() -> None:
     assert torch.allclose(light.psf(mask / 2), light.psf(mask) / 4, rtol=1e-12)
 
 
-def test_weights_outside_the_range_are_refused_and_not_left_to_die() -> None:
+def test_weights_at_the_ends_do_not_die() -> None:
     light = GridLight(CAMERA, SCENE, 1)
-    for value in (-0.1, 1.1):
-        mask = weights()
-        mask[0, 0] = value
-        with pytest.raises(OpticsError, match=r"outside \[0, 1\]"):
-            light.psf(mask)
     edge = torch.ones(CAMERA.mask_shape, dtype=torch.float64)
     edge.requires_grad_()
     torch.autograd.backward(light.psf(edge).sum())
@@ -127,11 +110,3 @@ def test_binning_reads_every_pixel() -> None:
         image[row, column] = 1
         binned = area_average(image, 24, 32)
         assert float(binned.sum()) * (380 * 507) / (24 * 32) == pytest.approx(1)
-
-
-@pytest.mark.parametrize("value", [-4e-3, 0.0, math.nan, math.inf])
-def test_impossible_cameras_are_refused_with_unit_and_remedy(value: float) -> None:
-    with pytest.raises(OpticsError, match=r"camera\.distance = .* m is not valid: use"):
-        Camera(distance=value)
-    with pytest.raises(OpticsError, match=r"aperture_y = .* m is not valid: use at most the pitch"):
-        Panel(aperture_y=1e-3)

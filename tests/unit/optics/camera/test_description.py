@@ -95,12 +95,16 @@ def test_one_wavelength_fill_factor_and_a_centred_window() -> None:
         ("fill_factor = 0.64", "fill_factor = 1.2", r"panel\.fill_factor = 1.2 .*at most 1"),
         ("fill_factor = 0.64", "", r"panel\.aperture_y = nothing m .*fill_factor alone"),
         ("fill_factor", "aperture_x = 9e-6\nfill_factor", r"panel\.aperture_x = 9e-06 m .*alone"),
-        ("wavelength = 633e-9", "wavelength = 550", r"camera\.wavelengths\[R\] = 550.0 m"),
+        ("wavelength = 633e-9", "wavelength = 550", r"wavelengths\[R\] = 550.0 m .*1e-08 to 0.001"),
         ("wavelength = 633e-9", "", r"wavelengths = None m .*either"),
         ("wavelength = 633e-9", "wavelengths = [5e-7]", r"wavelengths = .*\[R, G, B\]"),
         ("distance = 5e-3", "distance = -1", r"camera\.distance = -1.0 m"),
         ("distance = 5e-3", "distance = ", "no TOML"),
-        ("distance = 5e-3", "distance = nan", r"camera\.distance = nan m"),
+        *(
+            ("distance = 5e-3", f"distance = {value}", rf"camera\.distance = {value} m .*: use")
+            for value in ("nan", "inf", "0.0")
+        ),
+        ("pixel = 2e-6", "pixel = 1.55", r"sensor\.pixel = 1.55 m .*: use 1e-08 to 0.1"),
         ("pixel = 2e-6", "pixel = 2e-6\nchannel_weights = [0.5, 0.5]", "channel_weights"),
     ],
 )

@@ -73,10 +73,17 @@ def test_dark_stays_dark_under_a_gamma() -> None:
 
 
 def test_dead_lines_of_several_masks() -> None:
-    stuck = Imperfections(gamma=2.0, dead_rows=(1,), dead_transmittance=0.75)
-    weights = torch.full((2, 3, 2), 0.5)
+    stuck = Imperfections(gamma=2.0, dead_rows=(1,), dead_columns=(2,), dead_transmittance=0.75)
+    weights = torch.full((2, 3, 3), 0.5)
     shown = stuck.shown(weights)
-    assert shown[0].tolist() == shown[1].tolist() == [[0.25] * 2, [0.75] * 2, [0.25] * 2]
+    assert (
+        shown[0].tolist()
+        == shown[1].tolist()
+        == [[0.25, 0.25, 0.75], [0.75] * 3, [0.25, 0.25, 0.75]]
+    )
+    for wrong in (Imperfections(dead_rows=(3,)), Imperfections(dead_columns=(3,))):
+        with pytest.raises(OpticsError, match=r"dead_(rows|columns) = 3"):
+            wrong.shown(weights)
     assert float(weights.min()) == 0.5  # the argument is left as it was
 
 

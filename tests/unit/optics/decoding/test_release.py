@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import chi2
+from tests.unit.optics.tensors import seeded, smooth_scenes
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
@@ -28,18 +29,8 @@ def key_of(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def smooth_scenes(count: int, seed: int) -> Tensor:
-    """Sums of a few random blobs, in [0, 1]."""
-    generator = torch.Generator().manual_seed(seed)
-    centres = 10 * torch.rand(count, 3, 2, generator=generator)
-    grid = torch.arange(10.0)
-    y = torch.exp(-((grid[:, None] - centres[..., None, None, 0]) ** 2) / 4)
-    x = torch.exp(-((grid - centres[..., None, None, 1]) ** 2) / 4)
-    return (y * x).sum(1).clamp(0, 1)
-
-
 def make_decoding(precision: Precision = Precision.MIXED) -> SceneDecoding:
-    statistics = fit_statistics([smooth_scenes(3000, 0)], 60)
+    statistics = fit_statistics([smooth_scenes(SCENE, 3000, 0)], 60)
     operator = TransferOperator(CAMERA, SCENE, EMBEDDING, dtype=getattr(torch, precision.products))
     return SceneDecoding(operator, statistics, precision=precision)
 
@@ -53,9 +44,9 @@ def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder,
     """Decoder of a random mask, and measurements behind it."""
     weights = torch.from_numpy(to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel))
     decoder = decoding.prepare(weights)
-    random = torch.Generator().manual_seed(len(name))
+    random = seeded(len(name))
     dtype = decoding.operator.dtype
-    scenes = smooth_scenes(count, 1000 + len(name)).to(dtype)
+    scenes = smooth_scenes(SCENE, count, 1000 + len(name)).to(dtype)
     measurements = decoding.operator.embed(scenes, weights.to(dtype)).float()
     return decoder, shot_noise(measurements, 40.0, random)
 
@@ -151,7 +142,7 @@ def test_bounds_of_uniformity_would_tell(decoding: SceneDecoding) -> None:
     white = Whitening(decoder, key_of("turn")).whiten(measurements)
     with pytest.raises(AssertionError):
         require_uniform(white)
-    random = torch.Generator().manual_seed(1)
+    random = seeded(1)
     drawn = torch.randn(3000, SIZE, generator=random)
     require_uniform(drawn / drawn.norm(dim=1, keepdim=True))
     with pytest.raises(AssertionError):  # the corners of a cube: the fourth moment alone differs

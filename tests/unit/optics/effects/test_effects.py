@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from tests.unit.optics.tensors import bare, mask, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import (
-    IDEAL,
-    NOMINAL,
-    Conditions,
-    Imperfections,
-    half_field,
-)
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections, half_field
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
 from veilcam_optics.effects.base import Assessment
 from veilcam_optics.effects.light import OffAxis, Zone, tangents
@@ -55,7 +51,7 @@ class Called:
     """In the place of what others are looked at with."""
 
 
-FINE = Panel(pitch_y=3e-6, pitch_x=3e-6, aperture_y=3e-6, aperture_x=3e-6, filter_cycle=())
+FINE = bare(3e-6, 3e-6)
 LEAKY = Panel(filter_leakage=0.2)
 COUNTED = Conditions(electrons=1e5)
 
@@ -101,18 +97,9 @@ CALLED = {
 }
 
 
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 def scenes(count: int = 3, scene: Scene = SCENE) -> Tensor:
     generator = torch.Generator().manual_seed(1)
     return torch.rand(count, *scene.shape, generator=generator, dtype=torch.float64)
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 def model_of(called: Called, **sampling: object) -> Model:
@@ -177,20 +164,13 @@ def test_effect_is_on_in_a_plan_where_it_matters(effect: Effect) -> None:
         called.conditions,
         method=called.method if called.method == "grid" else None,
     )
-    found = {assessment.name: assessment for assessment in chosen.assessments}[effect.name]
+    found = {each.name: each for each in chosen.assessments}[effect.name]
     assert found.matters
     assert found.error > called.tolerance / 10
     assert found.reason in " ".join(chosen.explain().split()) or len(found.reason) > 60
 
 
-OF_THE_SENSOR = {
-    "Bayer pattern",
-    "shot noise",
-    "read noise",
-    "full well",
-    "ADC",
-    "black level",
-}
+OF_THE_SENSOR = {"Bayer pattern", "shot noise", "read noise", "full well", "ADC", "black level"}
 
 ALWAYS = {
     "diffraction",
@@ -318,24 +298,17 @@ def test_spectrum_is_an_average_over_wavelengths() -> None:
     called = Called(conditions, embedding=Embedding(60, 70))
     deviation = 60e-9 / 2.3548
     total, weight = torch.zeros(20, 4200, dtype=torch.float64), 0.0
-    r, g, b = CAMERA.wavelengths
     for step in range(-12, 13):
         away = step / 4
-        camera = replace(
-            CAMERA, wavelengths=(r + away * deviation, g + away * deviation, b + away * deviation)
-        )
+        red, green, blue = (length + away * deviation for length in CAMERA.wavelengths)
+        camera = replace(CAMERA, wavelengths=(red, green, blue))
         share = math.exp(-(away**2) / 2)
         operator = TransferOperator(
             camera, SCENE, called.embedding, reach=Reach(1, 0), dtype=torch.float64
         )
         total, weight = total + share * operator(mask(CAMERA)), weight + share
-    errors = [
-        relative(
-            LightOperator(model_of(called, wavelengths=count, reach=Reach(1, 0)))(mask(CAMERA)),
-            total / weight,
-        )
-        for count in (1, 2, 4)
-    ]
+    models = (model_of(called, wavelengths=count, reach=Reach(1, 0)) for count in (1, 2, 4))
+    errors = [relative(LightOperator(one)(mask(CAMERA)), total / weight) for one in models]
     assert errors[0] > 3 * errors[1]
     assert errors[2] < 1e-4
 
@@ -355,15 +328,8 @@ def test_depth_is_an_average_over_distances() -> None:
             dtype=torch.float64,
         )
         total = total + operator(mask(CAMERA)) / 60
-    errors = [
-        relative(
-            LightOperator(model_of(called, layers=count, reach=Reach(1, 0), step=4e-6))(
-                mask(CAMERA)
-            ),
-            total,
-        )
-        for count in (1, 3, 5)
-    ]
+    models = (model_of(called, layers=n, reach=Reach(1, 0), step=4e-6) for n in (1, 3, 5))
+    errors = [relative(LightOperator(one)(mask(CAMERA)), total) for one in models]
     assert errors[0] > 1e-2
     assert errors[2] < errors[1] < errors[0] / 3
     assert errors[2] < 2e-3
@@ -467,84 +433,43 @@ def test_measured_filters_take_the_place_of_leakage() -> None:
         Panel(filter_amplitudes=((1.0, 0.0, 0.0),))
 
 
-@pytest.mark.parametrize("by_factors", [False, True])
-def test_light_that_no_row_passes_is_dark(by_factors: bool) -> None:
-    """Two rows, red and green: there is no blue."""
-    camera = Camera(window=Window(2, 3), sensor=CAMERA.sensor)
-    operator = TransferOperator(camera, SCENE, EMBEDDING, colour=True)
-    pictures = torch.ones(2, 3, *SCENE.shape)
-    embed = operator.embed_by_factors if by_factors else operator.embed
-    values = embed(pictures, torch.ones(camera.mask_shape))
-    assert float(values[:, :2].min()) > 0
-    assert float(values[:, 2].abs().max()) == 0
+def fitted(**changes: Any) -> Model:
+    return Model(CAMERA, SCENE, EMBEDDING, Conditions(**changes))
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("made", "changes", "message"),
     [
-        ({"depth_range": -0.1}, r"conditions.depth_range = -0.1 m"),
-        ({"bandwidth": (1e-8, math.nan, 1e-8)}, r"conditions.bandwidth\[G\] = nan m"),
-        ({"levels": 1}, "conditions.levels = 1"),
-        ({"levels": 2.5}, "conditions.levels = 2.5"),
-        ({"adc_bits": 99}, "conditions.adc_bits = 99"),
-        ({"snr_db": math.nan}, "conditions.snr_db = nan dB"),
-        ({"read_noise": 3.0}, "conditions.electrons = 0"),
-        ({"electrons": 1e3, "snr_db": 40.0}, "conditions.snr_db = 40.0 dB"),
-        ({"off_axis": 1.5}, "conditions.off_axis = 1.5 rad"),
+        (Conditions, {"depth_range": -0.1}, r"conditions.depth_range = -0.1 m"),
+        (Conditions, {"bandwidth": (1e-8, math.nan, 1e-8)}, r"conditions.bandwidth\[G\] = nan m"),
+        (Conditions, {"levels": 1}, "conditions.levels = 1"),
+        (Conditions, {"levels": 2.5}, "conditions.levels = 2.5"),
+        (Conditions, {"adc_bits": 99}, "conditions.adc_bits = 99"),
+        (Conditions, {"snr_db": math.nan}, "conditions.snr_db = nan dB"),
+        (Conditions, {"read_noise": 3.0}, "conditions.electrons = 0"),
+        (Conditions, {"electrons": 1e3, "snr_db": 40.0}, "conditions.snr_db = 40.0 dB"),
+        (Conditions, {"off_axis": 1.5}, "conditions.off_axis = 1.5 rad"),
+        (Imperfections, {"gamma": 0.0}, "imperfections.gamma = 0.0"),
+        (Imperfections, {"stray_light": 2.0}, "imperfections.stray_light = 2.0"),
+        (Imperfections, {"rotation": math.inf}, "imperfections.rotation = inf rad"),
+        (Imperfections, {"shift_y": math.inf}, "imperfections.shift_y = inf m"),
+        (Imperfections, {"contrast_floor": 1.0}, "imperfections.contrast_floor = 1.0"),
+        (Imperfections, {"dead_transmittance": 1.5}, "imperfections.dead_transmittance = 1.5"),
+        (fitted, {"bandwidth": (5e-7, 0, 0)}, "at most half the wavelength"),
+        (fitted, {"depth_range": 1.0}, "at most the scene's distance"),
+        (fitted, {"imperfections": Imperfections(distance_error=-4e-3)}, "more than minus the"),
+        (fitted, {"imperfections": Imperfections(dead_rows=(99,))}, "dead_rows = 99"),
+        (Sampling, {"method": "magic"}, "sampling.method"),
+        (Sampling, {"wavelengths": 0}, "sampling.wavelengths = 0"),
+        (Sampling, {"step": -1.0}, "sampling.step = -1.0 m"),
+        (Sampling, {"dtype": torch.float16}, "sampling.dtype"),
     ],
 )
-def test_impossible_conditions_are_named(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(OpticsError, match=message):
-        Conditions(**changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"gamma": 0.0}, "imperfections.gamma = 0.0"),
-        ({"stray_light": 2.0}, "imperfections.stray_light = 2.0"),
-        ({"rotation": math.inf}, "imperfections.rotation = inf rad"),
-        ({"shift_y": math.inf}, "imperfections.shift_y = inf m"),
-        ({"contrast_floor": 1.0}, "imperfections.contrast_floor = 1.0"),
-        ({"dead_transmittance": 1.5}, "imperfections.dead_transmittance = 1.5"),
-    ],
-)
-def test_impossible_imperfections_are_named(changes: dict[str, float], message: str) -> None:
-    with pytest.raises(OpticsError, match=message):
-        replace(NOMINAL, **changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("conditions", "message"),
-    [
-        (Conditions(bandwidth=(5e-7, 0, 0)), "at most half the wavelength"),
-        (Conditions(depth_range=1.0), "at most the scene's distance"),
-        (
-            Conditions(imperfections=Imperfections(distance_error=-4e-3)),
-            "more than minus the camera's distance",
-        ),
-        (Conditions(imperfections=Imperfections(dead_rows=(99,))), "dead_rows = 99"),
-    ],
-)
-def test_conditions_that_do_not_fit_the_camera_are_named(
-    conditions: Conditions, message: str
+def test_impossible_settings_are_named(
+    made: Callable[..., object], changes: dict[str, object], message: str
 ) -> None:
     with pytest.raises(OpticsError, match=message):
-        Model(CAMERA, SCENE, EMBEDDING, conditions)
-
-
-@pytest.mark.parametrize(
-    ("sampling", "message"),
-    [
-        ({"method": "magic"}, "sampling.method"),
-        ({"wavelengths": 0}, "sampling.wavelengths = 0"),
-        ({"step": -1.0}, "sampling.step = -1.0 m"),
-        ({"dtype": torch.float16}, "sampling.dtype"),
-    ],
-)
-def test_impossible_samplings_are_named(sampling: dict[str, object], message: str) -> None:
-    with pytest.raises(OpticsError, match=message):
-        Sampling(**sampling)  # type: ignore[arg-type]
+        made(**changes)
 
 
 def test_wrong_shapes_are_named() -> None:

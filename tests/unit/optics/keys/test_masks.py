@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import traceback
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,26 +131,31 @@ def test_refuses_a_key_of_another_length_without_repeating_it(length: int) -> No
     assert "\\xc5" not in text
 
 
+ZEROS, CURVE = np.zeros((2, 5), np.uint8), np.arange(64, dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((ZEROS + np.uint8(1), ZEROS, CURVE), "lowest exceeds"),
+        ((ZEROS.astype(np.int64), ZEROS, CURVE), "lowest is not valid: use a uint8"),
+        ((ZEROS, ZEROS[:1], CURVE), r"highest\.shape"),
+        ((ZEROS, ZEROS, ZEROS), "1 dimensions"),
+        ((ZEROS, ZEROS + np.uint8(64), CURVE), "exceeds its 64 levels"),
+        ((ZEROS, ZEROS, CURVE + np.uint8(1)), "exceeds its 64 levels"),
+    ],
+)
+def test_refuses_distributions_that_cannot_be(parts: Any, message: str) -> None:
+    with pytest.raises(OpticsError, match=message):
+        MaskDistribution(*parts)
+
+
 def test_refuses_distributions_that_do_not_fit() -> None:
-    zeros, curve = np.zeros((2, 5), np.uint8), np.arange(64, dtype=np.uint8)
-    one = np.uint8(1)
-    with pytest.raises(OpticsError, match="lowest exceeds"):
-        MaskDistribution(zeros + one, zeros, curve)
-    with pytest.raises(OpticsError, match="lowest is not valid: use a uint8"):
-        MaskDistribution(zeros.astype(np.int64), zeros, curve)
-    with pytest.raises(OpticsError, match=r"highest\.shape"):
-        MaskDistribution(zeros, zeros[:1], curve)
-    with pytest.raises(OpticsError, match="1 dimensions"):
-        MaskDistribution(zeros, zeros, zeros)
-    with pytest.raises(OpticsError, match="exceeds its 64 levels"):
-        MaskDistribution(zeros, zeros + np.uint8(64), curve)
-    with pytest.raises(OpticsError, match="exceeds its 64 levels"):
-        MaskDistribution(zeros, zeros, curve + one)
-    small = MaskDistribution(zeros, zeros, curve)
-    with pytest.raises(OpticsError, match="the window"):
-        draw_levels(KEY, camera=CAMERA, distribution=small)
-    short = MaskDistribution(zeros, zeros, curve[:63])
-    with pytest.raises(OpticsError, match="the panel's, 64"):
-        draw_levels(KEY, camera=SMALL, distribution=short)
+    for camera, curve, message in (
+        (CAMERA, CURVE, "the window"),
+        (SMALL, CURVE[:63], "the panel's, 64"),
+    ):
+        with pytest.raises(OpticsError, match=message):
+            draw_levels(KEY, camera=camera, distribution=MaskDistribution(ZEROS, ZEROS, curve))
     with pytest.raises(OpticsError, match="at most 256"):
         MaskDistribution.uniform(Camera(panel=Panel(levels=257)))

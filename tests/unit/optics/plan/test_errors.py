@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.unit.optics.tensors import bare
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
@@ -20,20 +21,9 @@ from veilcam_optics.transfer.tables import Reach
 
 def model(cycle: tuple[int, ...] = ()) -> Model:
     """A mask whose apertures are three quarters of a pitch wide."""
-    panel = Panel(
-        rows=8,
-        columns=4,
-        pitch_y=40e-6,
-        pitch_x=40e-6,
-        aperture_y=30e-6,
-        aperture_x=30e-6,
-        filter_cycle=cycle,
-    )
+    panel = replace(bare(40e-6, 30e-6), rows=8, columns=4, filter_cycle=cycle)
     camera = Camera(
-        panel=panel,
-        window=Window(8, 4, 0, 0),
-        sensor=Sensor(24, 24, 10e-6),
-        distance=1e-3,
+        panel=panel, window=Window(8, 4, 0, 0), sensor=Sensor(24, 24, 10e-6), distance=1e-3
     )
     return Model(camera, Scene(4, 4, 0.02, 0.1), Embedding(4, 4), PARAXIAL)
 
@@ -79,10 +69,7 @@ def test_reaches_are_those_at_which_rows_meet(cycle: tuple[int, ...], rows: set[
 
 def one_aperture(distance: float, pixel: float, shift: float = 0.0) -> Model:
     """An aperture of 0.6 mm, one scene pixel and one embedding pixel of so many metres."""
-    panel = Panel(
-        rows=1, columns=1, pitch_y=1e-3, pitch_x=1e-3, aperture_y=6e-4, aperture_x=6e-4,
-        filter_cycle=(),
-    )  # fmt: skip
+    panel = replace(bare(1e-3, 6e-4), rows=1, columns=1)
     camera = Camera(panel, Window(1, 1, 0, 0), Sensor(8, 8, pixel / 8), distance)
     moved = Imperfections(shift_y=shift)
     scene = Scene(1, 1, distance / 100, 10 * distance)

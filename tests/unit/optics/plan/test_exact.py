@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.oracle.jobs import Job, masks
-from tests.oracle.judge import computed, truth
+from tests.oracle.judge import computed, distance, truth
+from tests.unit.optics.tensors import bare, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -25,28 +25,18 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 
 
-def square(pitch: float, parts: int = 1, open_parts: int = 1) -> Panel:
-    """A panel of square sub-pixels without filters."""
-    side = pitch * open_parts / parts
-    return Panel(pitch_y=pitch, pitch_x=pitch, aperture_y=side, aperture_x=side, filter_cycle=())
-
-
-def error(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
-
-
 @pytest.mark.thorough
 def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
     """Fringes of 40 x 40 sub-pixels of 3 um, 2 mm away, are wider than a pixel."""
     camera = Camera(
-        panel=square(3e-6), window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3
+        panel=bare(3e-6, 3e-6), window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3
     )
     scene, embedding = Scene(2, 2, height=0.005), Embedding(16, 16)
     chosen = plan(camera, scene, embedding, 1e-2)
     job = Job(camera, scene, embedding, Conditions(), 1e-2, ((1, 1), (1, 1)))
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: 1e-4)
-    found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    found = distance(computed(chosen, weights), exact)
     assert unsure < found / 10
     assert found < 2 * chosen.error
     assert not chosen.reached or found < 3e-2
@@ -55,7 +45,7 @@ def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
 def test_effects_are_judged_with_the_interference_that_is_there() -> None:
     """In the mid-infrared every pair of 10 columns of 25 um makes fringes wider than a pixel."""
     camera = Camera(
-        panel=square(25e-6),
+        panel=bare(25e-6, 25e-6),
         window=Window(8, 10),
         sensor=Sensor(24, 24, 8e-6),
         distance=1.2e-3,
@@ -67,7 +57,7 @@ def test_effects_are_judged_with_the_interference_that_is_there() -> None:
     whole = Model(camera, scene, embedding, PARAXIAL, sampling)
     points = replace(whole, sampling=replace(sampling, binning=False))
     weights = torch.rand(8, 10, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    measured = error(LightOperator(points)(weights), LightOperator(whole)(weights))
+    measured = relative(LightOperator(points)(weights), LightOperator(whole)(weights))
     judged = {found.name: found for found in chosen.assessments}["pixel binning"]
     assert measured > 1e-3
     assert judged.matters
@@ -95,13 +85,7 @@ def test_pairs_far_apart_add_no_more_than_their_bound(
     angle: float,
 ) -> None:
     """One row of sub-pixels, every reach: what farther pairs add, and what was to be expected."""
-    panel = Panel(
-        pitch_y=pitch,
-        pitch_x=pitch,
-        aperture_y=fill * pitch,
-        aperture_x=fill * pitch,
-        filter_cycle=(),
-    )
+    panel = bare(pitch, fill * pitch)
     camera = Camera(
         panel=panel,
         window=Window(9, 1),
@@ -123,7 +107,7 @@ def test_pairs_far_apart_add_no_more_than_their_bound(
 def test_only_the_grid_counts_large_angles(method: str) -> None:
     """It is on in a plan of the grid alone, and there its error is in no other's budget."""
     camera = Camera(
-        panel=square(3e-6), window=Window(4, 4), sensor=Sensor(8, 8, 3e-6), distance=60e-6
+        panel=bare(3e-6, 3e-6), window=Window(4, 4), sensor=Sensor(8, 8, 3e-6), distance=60e-6
     )
     chosen = plan(camera, Scene(2, 2, height=0.02), Embedding(2, 2), 1e-3, method=method)  # type: ignore[arg-type]
     found = {each.name: each for each in chosen.assessments}["non-paraxial diffraction"]
@@ -135,10 +119,7 @@ def test_only_the_grid_counts_large_angles(method: str) -> None:
 def small(**changes: object) -> Camera:
     """3 x 2 apertures of 80 um, whose shadows fill the sensor 4 mm behind them."""
     camera = Camera(
-        panel=square(100e-6, 5, 4),
-        window=Window(3, 2),
-        sensor=Sensor(7, 9, 30e-6),
-        distance=4e-3,
+        panel=bare(100e-6, 80e-6), window=Window(3, 2), sensor=Sensor(7, 9, 30e-6), distance=4e-3
     )
     return replace(camera, **changes)  # type: ignore[arg-type]
 
@@ -163,7 +144,7 @@ def test_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
     found = probe.transfer(model)[0]
     matrix = LightOperator(model)(probe.masks[0]).reshape(2, 3, 3, 4)
     wanted = matrix.permute(0, 2, 1, 3).reshape(6, 12)
-    assert error(found[probe.kept_y.argsort()][:, probe.kept_x.argsort()], wanted) < 2e-3
+    assert relative(found[probe.kept_y.argsort()][:, probe.kept_x.argsort()], wanted) < 2e-3
 
 
 @pytest.mark.parametrize("embedding", [Embedding(3, 4), Embedding(3, 7), Embedding(3, 20)])
@@ -186,7 +167,7 @@ def test_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -
 
 def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
     """Light that is nearly even is not read so: 8 x 10 sensor pixels make 3 x 4 unlike ones."""
-    camera = small(panel=square(1e-3), window=Window(1, 1), distance=5e-3)
+    camera = small(panel=bare(1e-3, 1e-3), window=Window(1, 1), distance=5e-3)
     scene, embedding = Scene(1, 1, height=1e-3), Embedding(3, 4)
     built = Imperfections(stray_light=0.19)
     conditions = Conditions(bayer=True, imperfections=built)
@@ -198,7 +179,7 @@ def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
     clean = Model(red, scene, embedding, Conditions(bayer=True), sampling)
     whole = replace(clean, conditions=conditions)
     weights = torch.ones(1, 1, dtype=torch.float64)
-    measured = error(LightOperator(clean)(weights), LightOperator(whole)(weights))
+    measured = relative(LightOperator(clean)(weights), LightOperator(whole)(weights))
     assert measured > 0.03
     assert judged.error == pytest.approx(measured, rel=0.1)
     assert judged.matters
@@ -212,7 +193,7 @@ def test_errors_of_one_sign_add_up() -> None:
 
     What is read at the middle, a curved wave and large angles all make it brighter.
     """
-    panel = replace(square(24.3e-6, 5, 3), rows=2, columns=1)
+    panel = replace(bare(24.3e-6, 24.3e-6 * 3 / 5), rows=2, columns=1)
     camera = Camera(
         panel=panel,
         window=Window(2, 1, 0, 0),
@@ -225,7 +206,7 @@ def test_errors_of_one_sign_add_up() -> None:
     job = Job(camera, scene, Embedding(1, 1), Conditions(), tolerance, ((5, 3), (5, 3)))
     weights = masks(job)
     exact, _ = truth(job, weights, lambda _: 1e-4)
-    found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    found = distance(computed(chosen, weights), exact)
     assert found == pytest.approx(chosen.error, rel=0.3)
 
 
@@ -257,10 +238,10 @@ def test_grid_is_judged_by_finer_ones(rotation: float) -> None:
 
     fine = light(32.0)
     for oversampling in OVERSAMPLINGS:
-        measured = error(light(oversampling), fine)
+        measured = relative(light(oversampling), fine)
         assert measured / 2 < errors.at(oversampling)
     # The fit to what whole apertures do is far off where edges alone are seen.
-    assert error(light(1.0), fine) > 2 * grid_error(model, 1.0)
+    assert relative(light(1.0), fine) > 2 * grid_error(model, 1.0)
 
 
 def test_grids_too_large_to_be_looked_at_are_estimated() -> None:

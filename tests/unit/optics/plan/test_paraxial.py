@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 from tests.oracle.jobs import Job, draw, masks
-from tests.oracle.judge import computed, judge_job, truth
+from tests.oracle.judge import computed, distance, judge_job, truth
 from tests.oracle.physics import Array
+from tests.unit.optics.tensors import bare
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Conditions, Imperfections
@@ -27,13 +28,7 @@ def camera(
     pitch: float, shape: tuple[int, int], side: float, distance: float, wavelength: float
 ) -> Camera:
     """Sub-pixels that are open at 0.8 of their pitch, before a square sensor; no filters."""
-    panel = Panel(
-        pitch_y=pitch,
-        pitch_x=pitch,
-        aperture_y=0.8 * pitch,
-        aperture_x=0.8 * pitch,
-        filter_cycle=(),
-    )
+    panel = bare(pitch, 0.8 * pitch)
     return Camera(
         panel=panel,
         window=Window(*shape),
@@ -58,7 +53,7 @@ def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
     chosen = chosen_by(job, method)
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: chosen.error / 4)
-    true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    true = distance(computed(chosen, weights), exact)
     assert unsure < true / 3
     return chosen.error, true
 
@@ -74,13 +69,7 @@ CASES = {
     "a dark gap between two apertures": Job(
         replace(
             camera(300e-6, (2, 1), 50e-6, 0.4e-3, 3e-6),
-            panel=Panel(
-                pitch_y=300e-6,
-                pitch_x=300e-6,
-                aperture_y=200e-6,
-                aperture_x=300e-6,
-                filter_cycle=(),
-            ),
+            panel=replace(bare(300e-6, 300e-6), aperture_y=200e-6),
         ),
         narrow(0.4e-3),
         Embedding(1, 1),
@@ -158,9 +147,7 @@ def test_apertures_turn_with_their_mask() -> None:
 
 def test_turned_apertures_come_nearer_to_the_axis() -> None:
     """Two apertures, halves of which the sensor sees: by symmetry nothing else shows."""
-    panel = Panel(
-        pitch_y=200e-6, pitch_x=200e-6, aperture_y=100e-6, aperture_x=100e-6, filter_cycle=()
-    )
+    panel = bare(200e-6, 100e-6)
     seen = replace(camera(200e-6, (2, 1), 200e-6, 8e-3, 0.3e-6), panel=panel)
     turned = Conditions(imperfections=Imperfections(rotation=0.1))
     job = Job(seen, narrow(8e-3), Embedding(1, 1), turned, 1e-1, ((2, 1), (2, 1)))
@@ -168,7 +155,7 @@ def test_turned_apertures_come_nearer_to_the_axis() -> None:
     weights = masks(job)
     exact, _ = truth(job, weights, lambda _: 1e-3)
     straight, unsure = truth(replace(job, conditions=Conditions()), weights, lambda _: 1e-3)
-    true = float(np.linalg.norm(straight - exact) / np.linalg.norm(exact))
+    true = distance(straight, exact)
     assert true > 5 * unsure
     assert true / 2 < rotated.error < 2 * true
 
@@ -196,7 +183,7 @@ def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
 
     A large error is a large one: within the oracle's thirty times, not "worse than all light".
     """
-    panel = Panel(pitch_y=50e-6, pitch_x=50e-6, aperture_y=40e-6, aperture_x=40e-6, filter_cycle=())
+    panel = bare(50e-6, 40e-6)
     shadowed = replace(camera(50e-6, (1, 1), 6e-6, distance, wavelength), panel=panel)
     moved = Conditions(imperfections=Imperfections(shift_y=moved_y, shift_x=moved_x))
     job = Job(shadowed, narrow(distance), Embedding(1, 1), moved, 1e-2, HALF_OPEN)

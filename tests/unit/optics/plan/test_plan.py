@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from torch import Tensor
+from tests.unit.optics.tensors import bare, mask, relative
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -40,19 +40,10 @@ SOME = Conditions(
 )
 
 
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 @pytest.fixture(scope="module")
 def of_some() -> Plan:
     """A plan to one in a thousand under many conditions."""
     return plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 @pytest.mark.thorough
@@ -64,12 +55,8 @@ def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -
     chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
     masks = [mask(camera, seed) for seed in (11, 12)]
     measured = torch.stack([chosen.transfer(weights) for weights in masks]).double()
-    truth = torch.stack(
-        [
-            reference_transfer(camera, SCENE, EMBEDDING, weights, oversampling=16)
-            for weights in masks
-        ]
-    )
+    exact = (reference_transfer(camera, SCENE, EMBEDDING, w, oversampling=16) for w in masks)
+    truth = torch.stack(list(exact))
     assert chosen.reached
     assert chosen.error <= tolerance
     assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
@@ -91,14 +78,8 @@ def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
 def test_dials_that_are_cheaper_would_not_have_done() -> None:
     """By hand: every smaller reach is outside the tolerance."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
-    finest = LightOperator(
-        replace(
-            chosen.model,
-            sampling=replace(
-                chosen.model.sampling, reach=Reach(11, 5), step=1e-6, dtype=torch.float64
-            ),
-        )
-    )(mask(CAMERA))
+    fine = chosen.model.with_sampling(reach=Reach(11, 5), step=1e-6, dtype=torch.float64)
+    finest = LightOperator(fine)(mask(CAMERA))
     reach = chosen.model.sampling.reach
     assert reach != Reach(0, 0)
     for rows in range(reach.rows + 1):
@@ -106,23 +87,6 @@ def test_dials_that_are_cheaper_would_not_have_done() -> None:
             model = chosen.model.with_sampling(reach=Reach(rows, columns))
             if cost(model, 64).step_ms < chosen.cost.step_ms:
                 assert relative(LightOperator(model)(mask(CAMERA)).double(), finest) > 0.8e-3
-
-
-def test_plan_equals_no_plan() -> None:
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, PARAXIAL)
-    sampling = chosen.model.sampling
-    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=sampling.reach, step=sampling.step)
-    scenes = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
-    weights = mask(CAMERA).float()
-    assert torch.equal(chosen.transfer(weights), plain(weights))
-    assert torch.equal(chosen.embed(scenes, weights), plain.embed(scenes, weights))
-
-
-@pytest.mark.slow
-def test_planning_twice_gives_the_same(of_some: Plan) -> None:
-    again = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
-    assert again.model == of_some.model
-    assert again.error == of_some.error
 
 
 @pytest.mark.slow
@@ -149,15 +113,12 @@ def test_operator_learns_through_a_plan() -> None:
     assert losses[-1] < losses[0] / 20
 
 
+NEAR_AND_FINE = replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5)
+DARK = replace(CAMERA, panel=Panel(filter_cycle=(0,)), window=Window(3, 3))
+GREEN = replace(CAMERA, sensor=Sensor(500, 600, channel_weights=(0.0, 1.0, 0.0)))
 EXTREMES = [
     ("near", replace(CAMERA, distance=1e-6), SCENE, EMBEDDING, 1e-3),
-    (
-        "near and fine",
-        replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5),
-        SCENE,
-        Embedding(50, 60),
-        1e-4,
-    ),
+    ("near and fine", NEAR_AND_FINE, SCENE, Embedding(50, 60), 1e-4),
     ("far", replace(CAMERA, distance=1.0), SCENE, EMBEDDING, 1e-2),
     ("very far", replace(CAMERA, distance=1e3), SCENE, EMBEDDING, 1e-2),
     ("ultraviolet", replace(CAMERA, wavelengths=(2e-7,) * 3), SCENE, EMBEDDING, 1e-3),
@@ -173,20 +134,8 @@ EXTREMES = [
     ("stars", CAMERA, Scene(5, 4, height=1e9, distance=1e12), EMBEDDING, 1e-2),
     ("no tolerance to speak of", CAMERA, SCENE, EMBEDDING, 0.99),
     ("impossible tolerance", replace(CAMERA, window=Window(6, 3)), SCENE, EMBEDDING, 1e-300),
-    (
-        "dark channels",
-        replace(CAMERA, panel=Panel(filter_cycle=(0,)), window=Window(3, 3)),
-        SCENE,
-        EMBEDDING,
-        1e-3,
-    ),
-    (
-        "green alone",
-        replace(CAMERA, sensor=Sensor(500, 600, channel_weights=(0.0, 1.0, 0.0))),
-        SCENE,
-        EMBEDDING,
-        1e-3,
-    ),
+    ("dark channels", DARK, SCENE, EMBEDDING, 1e-3),
+    ("green alone", GREEN, SCENE, EMBEDDING, 1e-3),
 ]
 
 
@@ -254,9 +203,7 @@ def test_total_over_conditions(
 ) -> None:
     """The short form embeds what a plan says takes less than 0.3 s; the long one all."""
     camera = Camera(
-        window=Window(rows, columns),
-        sensor=Sensor(rows=80, columns=100),
-        distance=10**distance,
+        window=Window(rows, columns), sensor=Sensor(rows=80, columns=100), distance=10**distance
     )
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf
@@ -297,13 +244,6 @@ def test_batch_moves_work_to_where_it_is_cheaper() -> None:
     assert many.model.sampling.method == "transfer"
     assert few.cost.step_ms < many.cost.step_ms
     assert few.model.sampling.method == "factors"
-
-
-@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3, math.nan, math.inf])
-def test_impossible_tolerances_are_named(tolerance: float) -> None:
-    shown = re.escape(f"tolerance = {tolerance} (relative L2) is not valid: use a number between 0")
-    with pytest.raises(OpticsError, match=shown):
-        plan(CAMERA, SCENE, EMBEDDING, tolerance)
 
 
 def test_batch_of_none_is_named() -> None:
@@ -429,9 +369,7 @@ def test_field_angle_of_the_scene_is_in_the_plan() -> None:
 
 def test_light_at_large_angles_is_in_the_budget() -> None:
     """Sub-pixels of two wavelengths spread it so far that no factored field is right."""
-    fine = Panel(
-        pitch_y=1.2e-6, pitch_x=1.2e-6, aperture_y=1.2e-6, aperture_x=1.2e-6, filter_cycle=()
-    )
+    fine = bare(1.2e-6, 1.2e-6)
     camera = Camera(panel=fine, window=Window(4, 4), sensor=Sensor(8, 8, 1e-6), distance=2e-5)
     chosen = plan(camera, Scene(2, 2, height=0.02), Embedding(2, 2), 1e-3, method="transfer")
     found = {each.name: each for each in chosen.assessments}
@@ -443,7 +381,7 @@ def test_light_at_large_angles_is_in_the_budget() -> None:
 
 def test_far_interference_that_was_not_looked_at_is_bounded() -> None:
     """Fringes wider than pixels do not fade with what is apart: every pair may count."""
-    panel = Panel(pitch_y=3e-6, pitch_x=3e-6, aperture_y=3e-6, aperture_x=3e-6, filter_cycle=())
+    panel = bare(3e-6, 3e-6)
     camera = Camera(panel=panel, window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3)
     scene = Scene(2, 2, height=0.005)
     chosen = plan(camera, scene, Embedding(16, 16), 1e-2, PARAXIAL)

@@ -50,11 +50,7 @@ def slit(at: Tensor, half: float, wavelength: float, distance: float) -> Field:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "fresnel_number"),
-    [
-        (AngularSpectrum(guard=2), 0.2),
-        (AngularSpectrum(guard=1), 1.0),
-        (AngularSpectrum(), 5.0),
-    ],
+    [(AngularSpectrum(guard=2), 0.2), (AngularSpectrum(guard=1), 1.0), (AngularSpectrum(), 5.0)],
     ids=repr,
 )
 def test_square_aperture(method: AngularSpectrum, fresnel_number: float) -> None:
@@ -138,11 +134,7 @@ def test_arago_spot() -> None:
 
 @pytest.mark.parametrize(
     ("method", "rayleigh_ranges"),
-    [
-        (AngularSpectrum(), 0.2),
-        (AngularSpectrum(guard=1), 1.0),
-        (AngularSpectrum(guard=3), 3.0),
-    ],
+    [(AngularSpectrum(), 0.2), (AngularSpectrum(guard=1), 1.0), (AngularSpectrum(guard=3), 3.0)],
     ids=repr,
 )
 def test_gaussian_beam(method: AngularSpectrum, rayleigh_ranges: float) -> None:

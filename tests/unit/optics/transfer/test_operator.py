@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
+from tests.unit.optics.tensors import assert_same, bare, mask, relative, seeded
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
+from veilcam_optics.transfer.factored import aperture_fields
 from veilcam_optics.transfer.kernels import box_kernel
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
@@ -26,19 +28,11 @@ SCENE = Scene(rows=4, columns=3, height=0.03)
 EMBEDDING = Embedding(rows=4, columns=5)
 
 
-def assert_same(value: Tensor, reference: Tensor) -> None:
-    """Equal but for rounding."""
-    # Sums in float64 of fewer than 1000 terms, in any order: 1000 units of 1.1e-16, ten times over;
-    # entries that far below the largest, 1e-2, are sums of terms that cancel.
-    torch.testing.assert_close(value, reference, rtol=1e-12, atol=1e-14)
-
-
-def mask(camera: Camera, seed: int = 0) -> Tensor:
-    return random_mask(camera, torch.Generator().manual_seed(seed)).double()
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
+def made(
+    camera: Camera = SMALL, embedding: Embedding = EMBEDDING, **options: Any
+) -> TransferOperator:
+    """The operator of the small scene, in double precision."""
+    return TransferOperator(camera, SCENE, embedding, dtype=torch.float64, **options)
 
 
 def test_box_kernel_equals_a_dense_integral() -> None:
@@ -56,9 +50,7 @@ def test_box_kernel_equals_a_dense_integral() -> None:
 def test_every_pair_within_reach_counts() -> None:
     """With all pairs kept, T is the box integral of the full intensity |F w G^T|^2."""
     weights = mask(SMALL)
-    operator = TransferOperator(
-        SMALL, SCENE, EMBEDDING, reach=Reach(6, 3), step=0.5e-6, dtype=torch.float64, colour=True
-    )
+    operator = made(reach=Reach(6, 3), step=0.5e-6, colour=True)
     transfers = operator(weights)
     nodes_y = torch.arange(-500e-6, 500e-6, 1e-6, dtype=torch.float64)
     nodes_x = torch.arange(-700e-6, 700e-6, 1e-6, dtype=torch.float64)
@@ -115,15 +107,6 @@ def test_dropping_far_pairs_costs_little_and_is_monotone() -> None:
     assert rows < 2e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("colour", [False, True])
-def test_gradient_for_the_mask(colour: bool) -> None:
-    operator = TransferOperator(
-        SMALL, SCENE, EMBEDDING, reach=Reach(3, 1), colour=colour, dtype=torch.float64
-    )
-    assert torch.autograd.gradcheck(operator, (mask(SMALL).requires_grad_(),))
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -138,18 +121,10 @@ def test_gradient_for_the_mask(colour: bool) -> None:
 def test_gradient_for_the_geometry(name: str, value: float | list[float]) -> None:
     weights = mask(SMALL)
     unit = torch.tensor(value, dtype=torch.float64)
-    probe = torch.rand(12 * 20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    probe = torch.rand(12 * 20, 4, dtype=torch.float64, generator=seeded(1))
 
     def transfer(scale: Tensor) -> Tensor:
-        operator = TransferOperator(
-            SMALL,
-            SCENE,
-            EMBEDDING,
-            reach=Reach(3, 1),
-            step=3e-6,
-            dtype=torch.float64,
-            variables=Variables(**{name: unit * scale}),
-        )
+        operator = made(reach=Reach(3, 1), step=3e-6, variables=Variables(**{name: unit * scale}))
         return torch.as_tensor(operator(weights)).flatten() @ probe
 
     one = torch.ones_like(unit).requires_grad_()
@@ -158,30 +133,10 @@ def test_gradient_for_the_geometry(name: str, value: float | list[float]) -> Non
     assert relative(moved, transfer(torch.ones_like(unit))) > 1e-5, f"{name} changes nothing"
 
 
-def test_fresnel_integral_gradient_and_limit() -> None:
-    t = torch.linspace(-3, 3, 13, dtype=torch.float64).requires_grad_()
-    assert torch.autograd.gradcheck(fresnel_integral, (t,))
-    far = fresnel_integral(torch.tensor([1e6], dtype=torch.float64))
-    assert abs(complex(far) - (0.5 + 0.5j)) < 1e-6
-
-
-def test_wide_open_aperture_passes_the_whole_wave() -> None:
-    """A hole much wider than the Fresnel zones: magnitude 1 for a plane wave on the axis."""
-    field = aperture_fields(
-        torch.zeros(1, dtype=torch.float64),
-        torch.zeros(1, dtype=torch.float64),
-        1.0,
-        wavelength=550e-9,
-        source_distance=math.inf,
-        distance=4e-3,
-    )
-    assert abs(abs(complex(field)) - 1) < 1e-3
-
-
 def test_units_open_panel_without_gaps_reads_one() -> None:
     """White scene, no dead space, all open: the geometric shadow of an absent panel."""
     side = 0.5e-3
-    panel = Panel(pitch_y=side, pitch_x=side, aperture_y=side, aperture_x=side, filter_cycle=())
+    panel = bare(side, side)
     camera = Camera(panel=panel, window=Window(rows=16, columns=16))
     operator = TransferOperator(
         camera, Scene(rows=2, columns=2), Embedding(6, 8), reach=Reach(15, 15), step=6e-6
@@ -206,20 +161,20 @@ def test_scene_is_seen_inverted() -> None:
 def test_odd_even_and_single_pixels(shape: tuple[int, int]) -> None:
     """However the sensor is cut, the pixels' mean is the same light."""
     weights = mask(SMALL)
-    whole = TransferOperator(SMALL, SCENE, Embedding(1, 1), dtype=torch.float64)(weights)
-    cut = TransferOperator(SMALL, SCENE, Embedding(*shape), dtype=torch.float64)(weights)
+    whole = made(SMALL, Embedding(1, 1))(weights)
+    cut = made(SMALL, Embedding(*shape))(weights)
     assert relative(cut.mean(1, keepdim=True), whole) < 2e-3
 
 
 def test_colours_sum_to_gray_and_filters_part_them() -> None:
     weights = mask(SMALL)
-    colour = TransferOperator(SMALL, SCENE, EMBEDDING, colour=True, dtype=torch.float64)(weights)
-    gray = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64)(weights)
+    colour = made(colour=True)(weights)
+    gray = made()(weights)
     shares = torch.tensor(SMALL.sensor.channel_weights, dtype=torch.float64)
     assert relative(torch.einsum("c,cpe->pe", shares, colour), gray) < 1e-12
     red_rows_closed = weights.clone()
     red_rows_closed[torch.tensor(SMALL.row_amplitudes(0)) == 1] = 0
-    dark = TransferOperator(SMALL, SCENE, EMBEDDING, colour=True, dtype=torch.float64)
+    dark = made(colour=True)
     assert float(dark(red_rows_closed)[0].abs().max()) == 0
 
 
@@ -229,7 +184,7 @@ def test_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     operator = TransferOperator(
         camera, scene, Embedding(4, 5), reach=Reach(3, 1), step=6e-6, colour=colour
     )
-    weights = random_mask(camera, torch.Generator().manual_seed(0))
+    weights = random_mask(camera, seeded(0))
     whole = operator(weights)
     of_pixels = whole.reshape(-1, 7, 9, 20)[:, 1:5, 4:9].reshape(*whole.shape[:-2], 20, 20)
     torch.testing.assert_close(operator(weights, Region(1, 4, 4, 5)), of_pixels)
@@ -241,20 +196,18 @@ def test_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
 
 def test_leakage_brings_light_through_foreign_rows() -> None:
     weights = mask(SMALL)
-    ideal = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64)(weights)
-    real = TransferOperator(LEAKY, SCENE, EMBEDDING, dtype=torch.float64)(weights)
+    ideal = made()(weights)
+    real = made(LEAKY)(weights)
     assert relative(real, ideal) > 1e-2
 
 
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_embedding_is_a_scene_times_the_transfer(colour: bool, count: int) -> None:
-    operator = TransferOperator(
-        SMALL, SCENE, EMBEDDING, reach=Reach(3, 1), colour=colour, dtype=torch.float64
-    )
+    operator = made(reach=Reach(3, 1), colour=colour)
     weights = mask(SMALL)
     channels, sum_up = ((3,), "bcyx,cyxij->bcij") if colour else ((), "byx,yxij->bij")
-    generator = torch.Generator().manual_seed(4)
+    generator = seeded(4)
     scenes = torch.rand(count, *channels, *SCENE.shape, generator=generator, dtype=torch.float64)
     transfer = operator(weights).reshape(*channels, *SCENE.shape, *EMBEDDING.shape)
     wanted = torch.einsum(sum_up, scenes, transfer)
@@ -298,86 +251,34 @@ def test_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
         assert relative(make(SCENE, centre)(weights), part * 72 / 12) < 1e-6
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("camera", "pairs"),
-    [
-        pytest.param(SMALL, Reach(0, 0), marks=pytest.mark.slow),
-        (SMALL, Reach(3, 1)),
-        (LEAKY, Reach(0, 0)),
-    ],
+    ("camera", "pairs"), [(SMALL, Reach(0, 0)), (SMALL, Reach(3, 1)), (LEAKY, Reach(0, 0))]
 )
-def test_small_rotation_moves_every_sub_pixel_by_itself(camera: Camera, pairs: Reach) -> None:
-    """Row r moves along x by -angle y_r, and column c along y by angle x_c."""
+def test_rotation_has_a_gradient_also_at_zero(camera: Camera, pairs: Reach) -> None:
     angle, weights = 1e-5, mask(camera)
     straight, turned = (
-        TransferOperator(
-            camera,
-            SCENE,
-            EMBEDDING,
-            reach=pairs,
-            step=3e-6,
-            dtype=torch.float64,
-            imperfections=Imperfections(rotation=rotation),
-        )(weights)
+        made(camera, reach=pairs, step=3e-6, imperfections=Imperfections(rotation=rotation))(
+            weights
+        )
         for rotation in (0.0, angle)
     )
     slope = (turned - straight) / angle
-    if pairs == Reach(0, 0):  # nothing interferes, so each sub-pixel may be moved on its own
-        # The error of a central difference is (move / 45 um)^2, the Fresnel zone being that wide.
-        assert relative(slope, sum_of_slopes(camera, weights, pairs, move=1e-7)) < 1e-3
     # A tensor takes the same way, at an angle of zero too.
     zero = torch.zeros((), dtype=torch.float64, requires_grad=True)
     probe = torch.arange(float(EMBEDDING.size), dtype=torch.float64)
-    found = TransferOperator(
-        camera,
-        SCENE,
-        EMBEDDING,
-        reach=pairs,
-        step=3e-6,
-        dtype=torch.float64,
-        variables=Variables(rotation=zero),
-    )(weights)
+    found = made(camera, reach=pairs, step=3e-6, variables=Variables(rotation=zero))(weights)
     assert_same(found.detach(), straight)
     (gradient,) = torch.autograd.grad((found @ probe).sum(), zero)
     assert float(gradient) == pytest.approx(float((slope @ probe).sum()), rel=1e-6)
-
-
-def sum_of_slopes(camera: Camera, weights: Tensor, pairs: Reach, move: float) -> Tensor:
-    """Derivative for the angle, by moving one sub-pixel at a time along y and along x."""
-    total = torch.zeros(12, 20, dtype=torch.float64)
-    for row, y in enumerate(camera.row_centres):
-        for column, x in enumerate(camera.column_centres):
-            one = torch.zeros_like(weights)
-            one[row, column] = weights[row, column]
-            for name, speed in (("shift_y", x), ("shift_x", -y)):
-                for sign in (1, -1):
-                    shift = torch.tensor(sign * move, dtype=torch.float64)
-                    operator = TransferOperator(
-                        camera,
-                        SCENE,
-                        EMBEDDING,
-                        reach=pairs,
-                        step=3e-6,
-                        dtype=torch.float64,
-                        variables=Variables(**{name: shift}),
-                    )
-                    total += speed * sign * operator(one) / (2 * move)
-    return total
 
 
 def test_rotation_and_its_mirror_image() -> None:
     """A mask and camera flipped left to right, and turned the other way, flip the embedding."""
     weights, angle = mask(SMALL), 3e-2
     one, other = (
-        TransferOperator(
-            SMALL,
-            SCENE,
-            EMBEDDING,
-            reach=Reach(3, 2),
-            dtype=torch.float64,
-            imperfections=Imperfections(rotation=rotation),
-        )(flipped).reshape(4, 3, 4, 5)
+        made(reach=Reach(3, 2), imperfections=Imperfections(rotation=rotation))(flipped).reshape(
+            4, 3, 4, 5
+        )
         for rotation, flipped in ((angle, weights), (-angle, weights.flip(1)))
     )
     # The same sums in another order, of terms some of which cancel.
@@ -389,15 +290,7 @@ def test_beams_are_added_up_by_their_shares() -> None:
     red, green, blue = SMALL.wavelengths
 
     def transfer(*beams: Beam, colour: bool = True) -> Tensor:
-        operator = TransferOperator(
-            SMALL,
-            SCENE,
-            EMBEDDING,
-            reach=Reach(3, 1),
-            colour=colour,
-            dtype=torch.float64,
-            beams=beams or None,
-        )
+        operator = made(reach=Reach(3, 1), colour=colour, beams=beams or None)
         result: Tensor = operator(weights)
         return result
 
@@ -423,7 +316,7 @@ def test_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> Non
 
     def transfer(wavelength: float, stretch: tuple[float, float]) -> Tensor:
         beams = [Beam(channel, wavelength, stretch=stretch) for channel in range(3)]
-        operator = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64, beams=beams)
+        operator = made(beams=beams)
         result: Tensor = operator(weights)
         return result
 
@@ -454,7 +347,7 @@ def test_beam_comes_from_its_own_distance() -> None:
         Beam(channel, wavelength, scene_distance=0.1)
         for channel, wavelength in enumerate(SMALL.wavelengths)
     ]
-    moved = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64, beams=beams)(weights)
+    moved = made(beams=beams)(weights)
     truth = TransferOperator(SMALL, near, EMBEDDING, dtype=torch.float64)(weights)
     assert_same(moved, truth)
 
@@ -463,9 +356,7 @@ def test_beam_comes_from_its_own_distance() -> None:
 def test_colour_that_no_row_passes_is_dark(rows: int) -> None:
     camera = Camera(window=Window(rows, 3, 0, 5), sensor=SMALL.sensor)
     weights = torch.ones(camera.mask_shape, dtype=torch.float64)
-    operator = TransferOperator(
-        camera, SCENE, EMBEDDING, reach=Reach(3, 1), colour=True, dtype=torch.float64
-    )
+    operator = made(camera, reach=Reach(3, 1), colour=True)
     lit = operator(weights).abs().amax((1, 2)) > 0
     assert lit.tolist() == [True, rows > 1, False]
     assert not operator.embed_by_factors(torch.ones(2, 3, 4, 3).double(), weights)[:, 2].any()
@@ -473,10 +364,7 @@ def test_colour_that_no_row_passes_is_dark(rows: int) -> None:
 
 def test_colour_that_the_sensor_does_not_see_costs_nothing() -> None:
     blind = replace(SMALL, sensor=replace(SMALL.sensor, channel_weights=(0.0, 1.0, 0.0)))
-    gray, seen = (
-        TransferOperator(blind, SCENE, EMBEDDING, dtype=torch.float64, colour=colour)
-        for colour in (False, True)
-    )
+    gray, seen = (made(blind, colour=colour) for colour in (False, True))
     torch.testing.assert_close(gray(mask(SMALL)), seen(mask(SMALL))[1])
     sizes = [sum(buffer.numel() for buffer in each.buffers()) for each in (gray, seen)]
     assert 2 * sizes[0] < sizes[1]
@@ -509,27 +397,14 @@ def test_buffers_move_with_the_operator() -> None:
     assert operator.double()(mask(SMALL)).dtype == torch.float64
 
 
-def _wrong_shape() -> object:
-    return TransferOperator(SMALL, SCENE, EMBEDDING)(torch.ones(2, 2))
-
-
-def _nan_mask() -> object:
-    weights = torch.ones(SMALL.mask_shape)
-    weights[0, 0] = math.nan
-    return TransferOperator(SMALL, SCENE, EMBEDDING)(weights)
-
-
 @pytest.mark.parametrize(
     ("attempt", "word"),
     [
-        (_wrong_shape, "window"),
-        (_nan_mask, "NaN"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=-1.0), "step = -1.0 m"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=1e-12), "step = 1e-12 m .* memory"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=0.0), "step = 0.0 m"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(-1, 0)), "reach.rows"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(0, -1)), "reach.columns"),
-        (lambda: Camera(distance=-4e-3), "camera.distance = -0.004 m"),
         (lambda: Panel(aperture_y=1e-3), "at most the pitch"),
         (lambda: Embedding(0, 4), "embedding.rows = 0"),
         (lambda: Scene(height=math.nan), "scene.height"),

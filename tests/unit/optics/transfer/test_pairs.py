@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.unit.optics.tensors import assert_same
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -32,21 +33,8 @@ def masks_of(camera: Camera, count: int) -> Tensor:
 
 def make(*, colour: bool = False) -> TransferOperator:
     return TransferOperator(
-        CAMERA,
-        SCENE,
-        EMBEDDING,
-        reach=Reach(3, 1),
-        step=3e-6,
-        colour=colour,
-        dtype=torch.float64,
+        CAMERA, SCENE, EMBEDDING, reach=Reach(3, 1), step=3e-6, colour=colour, dtype=torch.float64
     )
-
-
-def assert_same(value: Tensor, reference: Tensor) -> None:
-    """Equal but for rounding."""
-    # Sums in float64 of fewer than 1000 terms, in any order: 1000 units of 1.1e-16, ten times over;
-    # entries that far below the largest, 1e-2, are sums of terms that cancel.
-    torch.testing.assert_close(value, reference, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("region", [None, Region(1, 0, 2, 3)])

@@ -6,10 +6,9 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
+from tests.unit.optics.tensors import mask, relative
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.operator import TransferOperator
@@ -19,14 +18,6 @@ from veilcam_optics.transfer.tables import Reach
 SMALL = Camera(window=Window(rows=7, columns=3), sensor=Sensor(rows=488, columns=648))
 SCENE = Scene(rows=4, columns=3, height=0.03)
 EMBEDDING = Embedding(rows=4, columns=5)
-
-
-def mask(camera: Camera) -> Tensor:
-    return random_mask(camera, torch.Generator().manual_seed(3)).double()
-
-
-def relative(value: Tensor, reference: Tensor) -> float:
-    return float((value - reference).norm() / reference.norm())
 
 
 @pytest.mark.thorough
@@ -47,13 +38,7 @@ def test_all_terms_agree_far_better(panel: Panel) -> None:
     weights = mask(camera)
     truth = reference_transfer(camera, SCENE, EMBEDDING, weights, oversampling=24, colour=True)
     operator = TransferOperator(
-        camera,
-        SCENE,
-        EMBEDDING,
-        reach=Reach(6, 2),
-        step=0.4e-6,
-        colour=True,
-        dtype=torch.float64,
+        camera, SCENE, EMBEDDING, reach=Reach(6, 2), step=0.4e-6, colour=True, dtype=torch.float64
     )
     assert truth.shape == (3, 12, 20)
     assert relative(operator(weights), truth) < 3e-5

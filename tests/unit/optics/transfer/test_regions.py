@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
@@ -13,7 +14,7 @@ from veilcam_optics.transfer.regions import Region, embed_lit
 
 def _digits(rows: int = 9, columns: int = 11) -> Tensor:
     """Scenes of which the outermost pixels, and some inner ones, are black in all."""
-    scenes = torch.rand(5, rows, columns, generator=torch.Generator().manual_seed(0))
+    scenes = torch.rand(5, rows, columns, generator=seeded(0))
     scenes[:, :2] = 0
     scenes[:, :, -3:] = 0
     scenes[:, 4, 4] = 0
@@ -32,7 +33,7 @@ def test_only_the_lit_part_is_asked_for(shift: tuple[int, int]) -> None:
     scenes = _digits()
     big = torch.zeros(5, 14, 16)
     big[:, shift[0] : shift[0] + 9, shift[1] : shift[1] + 11] = scenes
-    matrix = torch.rand(14 * 16, 6, generator=torch.Generator().manual_seed(1))
+    matrix = torch.rand(14 * 16, 6, generator=seeded(1))
     asked: list[Region] = []
 
     def transfer(part: Region) -> Tensor:
@@ -77,7 +78,7 @@ def test_gradients_reach_mask_and_black_pixels() -> None:
     pull = torch.rand(5, 3, 4, dtype=torch.float64)
 
     def gradient(embed: bool) -> Tensor:
-        generator = torch.Generator().manual_seed(2)
+        generator = seeded(2)
         weights = torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
         weights.requires_grad_()
         if embed:
