@@ -28,7 +28,7 @@ from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
 PROGRAMS: dict[tuple[str, ...], str] = {
-    ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT",
+    ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT"
 }
 
 

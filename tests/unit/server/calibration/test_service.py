@@ -155,10 +155,7 @@ async def test_calibration_is_used_from_then_on(
     adopt = MaskedCamera.adopt
 
     def noted(
-        camera: MaskedCamera,
-        calibration: SignedCalibration,
-        settle: float,
-        source: MaskSource,
+        camera: MaskedCamera, calibration: SignedCalibration, settle: float, source: MaskSource
     ) -> None:
         settled.append(settle)
         adopt(camera, calibration, settle, source)
@@ -255,10 +252,7 @@ def defective() -> None:
     ],
 )
 async def test_failure_changes_nothing(
-    running: Running,
-    service: Measuring,
-    before_measurement: Callable[[], None],
-    detail: str,
+    running: Running, service: Measuring, before_measurement: Callable[[], None], detail: str
 ) -> None:
     service.before_measurement = before_measurement
     async with running() as client:

@@ -67,11 +67,7 @@ class Bench:
 
     def open(self) -> FakePicamera2:
         camera = FakePicamera2(
-            self.light,
-            mode=self.mode,
-            faults=self.faults,
-            clock=self.clock,
-            sleep=self.clock.sleep,
+            self.light, mode=self.mode, faults=self.faults, clock=self.clock, sleep=self.clock.sleep
         )
         self.cameras.append(camera)
         return camera

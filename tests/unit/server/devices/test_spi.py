@@ -221,9 +221,7 @@ def test_lines_that_are_taken_say_what_to_do(gpiod: Gpiod) -> None:
         LinuxLines.open("pinctrl-rp1", data=25, reset=24)
 
 
-def test_chip_is_found_by_its_label(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_chip_is_found_by_its_label(monkeypatch: pytest.MonkeyPatch) -> None:
     labels = {"gpiochip0": "gpio-brcmstb", "gpiochip4": "pinctrl-rp1", "gpiochip9": None}
 
     class Chip:

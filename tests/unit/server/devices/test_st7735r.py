@@ -378,11 +378,7 @@ def test_wrong_tab_shows_another_mask(clock: Clock) -> None:
 
 @pytest.mark.parametrize(
     "levels",
-    [
-        np.zeros((22, 51), np.uint8),
-        np.zeros((51, 22), np.int64),
-        np.full((51, 22), 64, np.uint8),
-    ],
+    [np.zeros((22, 51), np.uint8), np.zeros((51, 22), np.int64), np.full((51, 22), 64, np.uint8)],
 )
 def test_levels_it_cannot_show_are_refused_before_the_bus(
     levels: npt.NDArray[np.uint8], wire: Wire
@@ -394,8 +390,7 @@ def test_levels_it_cannot_show_are_refused_before_the_bus(
 
 
 @pytest.mark.parametrize(
-    "panel",
-    [Panel(rows=240), Panel(columns=161), Panel(levels=32), Panel(filter_cycle=(2, 1, 0))],
+    "panel", [Panel(rows=240), Panel(columns=161), Panel(levels=32), Panel(filter_cycle=(2, 1, 0))]
 )
 def test_another_panel_is_refused(panel: Panel) -> None:
     with pytest.raises(DisplayError, match="another panel"):

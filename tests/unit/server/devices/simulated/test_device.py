@@ -109,12 +109,7 @@ def difference(one: Measurement, other: Measurement) -> float:
 
 @pytest.mark.parametrize(
     ("shape", "raw"),
-    [
-        ((24, 32), (96, 128)),
-        ((12, 16), (48, 64)),
-        ((3, 4), (12, 16)),
-        ((27, 36), (108, 144)),
-    ],
+    [((24, 32), (96, 128)), ((12, 16), (48, 64)), ((3, 4), (12, 16)), ((27, 36), (108, 144))],
 )
 def test_raw_pixels_are_finer_than_the_embedding(
     shape: tuple[int, int], raw: tuple[int, int]
@@ -304,14 +299,7 @@ def test_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> None:
 
 
 def test_imperfections_unknown_to_decoders_change_the_light(light: Light) -> None:
-    other = Simulation(
-        planned_light(
-            CAMERA,
-            Scene(),
-            EMBEDDING,
-            Imperfections(gamma=1.5),
-        )
-    )
+    other = Simulation(planned_light(CAMERA, Scene(), EMBEDDING, Imperfections(gamma=1.5)))
     ideal = Simulation(light)
     other.scene.image = ideal.scene.image
     for simulation in (ideal, other):
@@ -339,11 +327,7 @@ def test_exposure_longer_than_the_timeout_is_a_timeout() -> None:
 
 @pytest.mark.parametrize(
     "levels",
-    [
-        np.zeros((5, 9), np.uint8),
-        np.zeros((9, 5), np.float32),
-        np.full((9, 5), 64, np.uint8),
-    ],
+    [np.zeros((5, 9), np.uint8), np.zeros((9, 5), np.float32), np.full((9, 5), 64, np.uint8)],
 )
 def test_panel_refuses_what_it_cannot_show(levels: np.ndarray) -> None:
     with pytest.raises(DisplayError):
