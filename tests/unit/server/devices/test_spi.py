@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from veilcam_server.devices import DeviceMissingError, DisplayError
+from veilcam_server.devices import DeviceMissingError
 from veilcam_server.devices import spi as linux_bus
 from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 
@@ -98,10 +98,15 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Gpiod:
     return fake
 
 
-def test_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
-    spi = LinuxSpi.open("/dev/spidev0.0", 15_000_000)
+@pytest.mark.parametrize("one_wire", [False, True])
+@pytest.mark.parametrize("path", ["/dev/spidev0.0", "/dev/spidev10.1"])
+def test_bus_is_mode_0_at_the_clock_asked_for(
+    spidev: type[SpiDev], path: str, *, one_wire: bool
+) -> None:
+    spi = LinuxSpi.open(path, 15_000_000, one_wire=one_wire)
     device = spidev.last
-    assert (device.path, device.mode, device.max_speed_hz) == ("/dev/spidev0.0", 0, 15_000_000)
+    assert (device.path, device.mode, device.max_speed_hz) == (path, 0, 15_000_000)
+    assert device.threewire is one_wire
     spi.write(memoryview(b"abc"))
     assert device.sent == [b"abc"]
     spi.close()
@@ -139,23 +144,6 @@ def test_question_and_its_answer_are_one_message_of_two_halves(
         assert not spidev.last.sent
 
 
-def test_bus_that_fails_when_it_is_read_is_an_error(
-    spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def kernel(*_: object) -> int:
-        raise OSError(22, "Invalid argument")
-
-    monkeypatch.setattr(fcntl, "ioctl", kernel)
-    with pytest.raises(DisplayError, match=r"bus failed \(Invalid argument\)"):
-        LinuxSpi.open("/dev/spidev0.0", 1_000_000).read(0x09, 5)
-
-
-def test_bus_of_one_wire_is_turned_around_by_the_kernel(spidev: type[SpiDev]) -> None:
-    LinuxSpi.open("/dev/spidev0.0", 1_000_000, one_wire=True)
-    assert spidev.last.threewire
-    assert (spidev.last.path, spidev.last.mode) == ("/dev/spidev0.0", 0)
-
-
 def test_bus_that_cannot_turn_around_says_how_to_wire_it(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,11 +176,6 @@ def test_bus_that_is_not_there_says_what_to_do(
 def test_name_that_spidev_cannot_have_is_refused(spidev: type[SpiDev], path: str) -> None:
     with pytest.raises(DeviceMissingError, match=r"is no bus of spidev's: give --spi"):
         LinuxSpi.open(path, 1_000_000)
-
-
-def test_second_bus_and_device_are_opened_as_they_are_called(spidev: type[SpiDev]) -> None:
-    LinuxSpi.open("/dev/spidev10.1", 1_000_000)
-    assert spidev.last.path == "/dev/spidev10.1"
 
 
 def test_lines_are_asked_for_together_and_reset_is_low(gpiod: Gpiod) -> None:
