@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any, Never, get_args
+from typing import Any, Never
 
 import pytest
 from typer.testing import CliRunner
@@ -418,8 +418,9 @@ def test_beside_a_daemon_nothing_is_opened_and_no_path_is_told(
     state = tmp_path / "state"
     state.mkdir(mode=0o755)
     machine = Machine(load=touch, chips=touch, line_user=touch, open_camera=touch)
-    for device in get_args(Settings.model_fields["device"].annotation):
-        settings = Settings(device=device, bundle=bundle_file, state_dir=state)
+    for device in ("simulated", "pi"):
+        given = {"device": device, "bundle": bundle_file, "state_dir": state}
+        settings = Settings.model_validate(given)
         found = {each.name: each for each in examine_beside(machine, settings)}
         # What is of the machine, and not of the daemon, matters to a real camera alone.
         assert ("board" in found) is (device == "pi")
