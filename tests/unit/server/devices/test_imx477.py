@@ -197,21 +197,12 @@ def test_exposure_of_whole_lines_is_taken_though_images_were_amplified(exposure:
 
 
 def test_another_mode_is_refused_and_the_camera_let_go() -> None:
-    clock, cameras = Clock(), []
-
-    def open_camera() -> FakePicamera2:
-        cameras.append(
-            FakePicamera2(
-                lambda *_: np.zeros((60, 82), np.uint16),
-                mode=replace(MODE, bit_depth=10),
-                clock=clock,
-            )
-        )
-        return cameras[0]
-
+    clock = Clock()
+    light = np.zeros((60, 82), np.uint16)
+    camera = FakePicamera2(lambda *_: light, mode=replace(MODE, bit_depth=10), clock=clock)
     with pytest.raises(SensorError, match="did not take the mode 82 x 60, 12 bit"):
-        IMX477(open_camera, shape=SHAPE, mode=MODE, clock=clock)
-    assert cameras[0].closed
+        IMX477(lambda: camera, shape=SHAPE, mode=MODE, clock=clock)
+    assert camera.closed
 
 
 def test_old_frames_and_those_of_another_exposure_or_gain_are_passed_over() -> None:
@@ -245,13 +236,9 @@ def test_wrong_gain_is_never_used() -> None:
 
 def test_dim_scene_is_exposed_longer_within_bounds_and_reads_the_same() -> None:
     bench = Bench(exposures=ExposureRange(0.002, factor=4))
-    bench.level = lambda _: 100_000.0
-    first = bench.capture()
-    second = bench.capture()
-    third = bench.capture()
-    assert first.integration == pytest.approx(0.002)
-    assert second.integration == pytest.approx(0.008)
-    assert third.integration == pytest.approx(0.008)
+    first, second, third = (bench.capture() for _ in range(3))
+    asked = [each.integration for each in (first, second, third)]
+    assert asked == pytest.approx([0.002, 0.008, 0.008])
     np.testing.assert_allclose(first.embedding, second.embedding, rtol=1e-2)
 
 

@@ -184,16 +184,11 @@ def test_lines_are_asked_for_together_and_reset_is_low(gpiod: Gpiod) -> None:
     assert gpiod.asked["config"] == {
         (25, 24): {"direction": "output", "output_value": Value.ACTIVE}
     }
-    lines.data(True)
-    lines.data(False)
-    lines.reset(True)
-    lines.reset(False)
-    assert gpiod.values == [
-        (25, Value.ACTIVE),
-        (25, Value.INACTIVE),
-        (24, Value.INACTIVE),
-        (24, Value.ACTIVE),
-    ]
+    for drive in (lines.data, lines.reset):
+        drive(True)
+        drive(False)
+    low, high = Value.INACTIVE, Value.ACTIVE
+    assert gpiod.values == [(25, high), (25, low), (24, low), (24, high)]
     lines.close()
     assert gpiod.released
 
@@ -257,11 +252,9 @@ def test_holder_of_a_line_is_named(
 def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
     monkeypatch.setitem(sys.modules, "gpiod", None)
-    with pytest.raises(
-        DeviceMissingError, match=r"spidev is not installed: sudo apt install python3-spidev"
-    ):
+    told = "spidev is not installed: sudo apt install python3-spidev"
+    with pytest.raises(DeviceMissingError, match=told):
         LinuxSpi.open("/dev/spidev0.0", 1_000_000)
-    with pytest.raises(
-        DeviceMissingError, match=r"gpiod is not installed: install the package veilcam again"
-    ):
+    told = "gpiod is not installed: install the package veilcam again"
+    with pytest.raises(DeviceMissingError, match=told):
         LinuxLines.open("pinctrl-rp1", data=25, reset=24)
