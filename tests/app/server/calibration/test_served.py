@@ -58,10 +58,7 @@ def nearest_template() -> Bundle:
             noise=MeasurementNoise(40.0),
             features=("estimate",),
             layers=(Linear(inputs=pixels, outputs=CLASSES),),
-            weights={
-                "0.weight": 20 * templates,
-                "0.bias": -10 * np.square(templates).sum(axis=1),
-            },
+            weights={"0.weight": 20 * templates, "0.bias": -10 * np.square(templates).sum(axis=1)},
         ),
     )
 

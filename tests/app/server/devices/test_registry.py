@@ -25,7 +25,7 @@ from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.camera.capture import MaskedCapture
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceError, DisplayError, SensorError
+from veilcam_server.devices import DeviceError, DisplayError
 from veilcam_server.devices.imx477 import HALF
 from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import DISPLAYS, open_device
@@ -273,17 +273,6 @@ def test_panel_is_asked_as_it_is_wired(
     device.display.close()
 
 
-def test_panel_is_not_asked_unless_it_is_said(
-    board: Board, settings: Settings, bundle: Bundle
-) -> None:
-    device = open_device(settings, bundle)
-    device.display.blank()
-    board.panel.faults = PanelFaults(dead=True)
-    device.display.show(np.full(bundle.camera.mask_shape, 9, np.uint8))
-    assert not board.asked.keys() & {"questions", "threewire"}
-    device.display.close()
-
-
 def test_doctor_asks_the_panel_who_it_is(board: Board) -> None:
     wiring = Wiring(panel_read_back="miso")
     identify = DISPLAYS["ST7735R"].identify
@@ -352,24 +341,6 @@ def test_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Sett
     service._camera.test_if_due()
     assert service.status().state == "ready"
     service.stop()
-
-
-def test_camera_that_is_not_there_leaves_the_panel_opaque(
-    board: Board, settings: Settings, bundle: Bundle
-) -> None:
-    def none(_: int) -> None:
-        raise IndexError("list index out of range")
-
-    sys.modules["picamera2"].Picamera2 = none  # type: ignore[attr-defined]
-    device = open_device(settings, bundle)
-    device.display.blank()
-    with pytest.raises(SensorError, match="there is no camera 0") as caught:
-        device.sensor.capture(0.0, 1.0)
-    assert caught.value.remedy == "run_doctor"
-    device.close()
-    assert board.asked["spi closed"]
-    assert board.asked["lines closed"]
-    assert not board.panel.framebuffer().any()
 
 
 def test_fast_bus_is_warned_of(board: Board, settings: Settings, bundle: Bundle) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any, Literal, Never
+from typing import Any, Never
 
 import pytest
 from typer.testing import CliRunner
@@ -27,9 +27,7 @@ from veilcam_server.settings import DoctorSettings, Settings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
-PROGRAMS: dict[tuple[str, ...], str] = {
-    ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT",
-}
+PROGRAMS = {("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT"}
 
 
 @dataclass
@@ -125,80 +123,65 @@ def test_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
 
 
 Illness = Callable[[Bed], object]
+
+
+def without(path: str) -> Illness:
+    return lambda bed: bed.remove(path)
+
+
+def lacking(package: str) -> Illness:
+    return lambda bed: bed.missing.append(package)
+
+
+def locked(*paths: str) -> Illness:
+    return lambda bed: bed.locked.extend(paths)
+
+
+def having(**values: object) -> Illness:
+    return lambda bed: vars(bed).update(values)
+
+
+STATE = "var/lib/veilcam"
+NO_CAMERA = DeviceMissingError("there is no camera 0: check its cable")
+HEAPS = ("/dev/dma_heap/linux,cma", "/dev/dma_heap/system")
+OLD = {("systemctl", "--version"): "systemd 247 (247.3)"}
 ILLNESSES: list[tuple[Illness, str, str, str]] = [
-    (lambda bed: bed.remove("/proc/device-tree/model"), "board", "no Raspberry Pi", "--simulate"),
+    (without("/proc/device-tree/model"), "board", "no Raspberry Pi", "--simulate"),
+    (lacking("spidev"), "spidev", "not installed", "apt install python3-spidev"),
+    (lacking("gpiod"), "gpiod", "not installed", "reinstall ./veilcam_*.deb"),
+    (lacking("libcamera"), "libcamera", "not installed", "apt install"),
+    (lacking("picamera2"), "picamera2", "not installed", "install python3-picamera2"),
+    (without("/dev/spidev0.0"), "panel bus", "there is no", "config.txt: restart"),
+    (locked("/dev/spidev0.0"), "panel bus", "not yours", "-aG spi"),
+    (having(chips={}), "GPIO chip", "none that you may open", "-aG gpio"),
+    (having(chips={"gpio-sim": Path("/x")}), "GPIO chip", "there is gpio-sim", "--gpio-chip"),
+    (having(users={25: "veilcamd"}), "line of D/C", "used by veilcamd", "end what"),
+    (having(users={24: "fan"}), "line of RESET", "24, used by fan", "another line"),
+    (locked(*HEAPS), "frame memory", "not yours", "-aG video"),
+    (having(camera=NO_CAMERA), "camera", "there is no camera 0", "check its cable"),
+    (having(camera="ov5647"), "camera", "ov5647", "HQ camera"),
+    (locked("/var/lib/veilcam"), "state directory", "written", "chown"),
     (
-        lambda bed: bed.missing.append("spidev"),
-        "spidev",
-        "not installed",
-        "apt install python3-spidev",
-    ),
-    (
-        lambda bed: bed.missing.append("gpiod"),
-        "gpiod",
-        "not installed",
-        "reinstall ./veilcam_*.deb",
-    ),
-    (lambda bed: bed.missing.append("libcamera"), "libcamera", "not installed", "apt install"),
-    (
-        lambda bed: bed.missing.append("picamera2"),
-        "picamera2",
-        "not installed",
-        "install python3-picamera2",
-    ),
-    (lambda bed: bed.remove("/dev/spidev0.0"), "panel bus", "there is no", "config.txt: restart"),
-    (lambda bed: bed.locked.append("/dev/spidev0.0"), "panel bus", "not yours", "-aG spi"),
-    (lambda bed: setattr(bed, "chips", {}), "GPIO chip", "none that you may open", "-aG gpio"),
-    (
-        lambda bed: setattr(bed, "chips", {"gpio-sim": Path("/dev/gpiochip7")}),
-        "GPIO chip",
-        "there is gpio-sim",
-        "--gpio-chip",
-    ),
-    (lambda bed: bed.users.update({25: "veilcamd"}), "line of D/C", "used by veilcamd", "end what"),
-    (lambda bed: bed.users.update({24: "fan"}), "line of RESET", "24, used by fan", "another line"),
-    (
-        lambda bed: bed.locked.extend(["/dev/dma_heap/linux,cma", "/dev/dma_heap/system"]),
-        "frame memory",
-        "not yours",
-        "-aG video",
-    ),
-    (
-        lambda bed: setattr(
-            bed, "camera", DeviceMissingError("there is no camera 0: check its cable")
-        ),
-        "camera",
-        "there is no camera 0",
-        "check its cable",
-    ),
-    (lambda bed: setattr(bed, "camera", "ov5647"), "camera", "ov5647", "HQ camera"),
-    (lambda bed: bed.locked.append("/var/lib/veilcam"), "state directory", "written", "chown"),
-    (
-        lambda bed: (bed.root / "var/lib/veilcam").chmod(0o755),
+        lambda bed: (bed.root / STATE).chmod(0o755),
         "state directory",
         "others may look (0755)",
         "chmod 700",
     ),
     (
-        lambda bed: os.mkfifo(bed.root / "var/lib/veilcam/tokens.json"),
+        lambda bed: os.mkfifo(bed.root / STATE / "tokens.json"),
         "state directory",
         "tokens.json cannot be read (Not a regular file)",
         "move it away",
     ),
-    (lambda bed: setattr(bed, "room", 2**20), "disk", "1 MiB free", "make room"),
+    (having(room=2**20), "disk", "1 MiB free", "make room"),
     (
-        lambda bed: setattr(bed, "synchronised", False),
+        having(synchronised=False),
         "wall clock",
         "Asia/Tokyo, not synchronised",
         "set-ntp true, or --trust-clock",
     ),
-    (lambda bed: bed.programs.clear(), "systemd", "not there", "systemd"),
-    (
-        lambda bed: bed.programs.update({("systemctl", "--version"): "systemd 247 (247.3)"}),
-        "systemd",
-        "247",
-        "248 or later",
-    ),
+    (having(programs={}), "systemd", "not there", "systemd"),
+    (having(programs=OLD), "systemd", "247", "248 or later"),
 ]
 
 
@@ -292,25 +275,9 @@ def test_spi_that_is_off_is_switched_on(bed: Bed, plan: DoctorSettings) -> None:
     assert "raspi-config nonint do_spi 0" in str(findings(bed, plan)["panel bus"].remedy)
 
 
-def test_check_that_needs_another_waits_for_it(bed: Bed, plan: DoctorSettings) -> None:
-    bed.missing += ["gpiod", "libcamera"]
-    found = findings(bed, plan.model_copy(update={"bundle": None}))
-    waiting = {name for name, finding in found.items() if finding.outcome == "skipped"}
-    wanting = {"GPIO chip", "line of D/C", "line of RESET", "camera"}
-    assert waiting == wanting | {"owner"}
-    assert not bed.opened
-
-
 def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> None:
-    wiring = plan.model_copy(
-        update={
-            "panel_tab": None,
-            "spi": Path("/dev/spidev1.0"),
-            "spi_hz": 16_000_000,
-            "data_line": 5,
-            "camera_number": 1,
-        }
-    )
+    wired: dict[str, Any] = {"spi": Path("/dev/spidev1.0"), "spi_hz": 16_000_000, "data_line": 5}
+    wiring = plan.model_copy(update={**wired, "panel_tab": None, "camera_number": 1})
     bed.users[5] = "somebody"
     found = findings(bed, wiring)
     for name, text in (
@@ -405,6 +372,8 @@ def test_damaged_bundle_is_said(
     damaged.write_bytes(fresh_file.read_bytes()[:-100])
     found = findings(bed, plan.model_copy(update={"bundle": damaged}))
     assert (found["bundle"].outcome, found["owner"].outcome) == ("bad", "skipped")
+    none = findings(bed, plan.model_copy(update={"bundle": None}))
+    assert {name for name, each in none.items() if each.outcome == "skipped"} == {"owner"}
 
 
 @pytest.mark.skipif(Path("/proc/device-tree/model").exists(), reason="this is a board")
@@ -449,9 +418,9 @@ def test_beside_a_daemon_nothing_is_opened_and_no_path_is_told(
     state = tmp_path / "state"
     state.mkdir(mode=0o755)
     machine = Machine(load=touch, chips=touch, line_user=touch, open_camera=touch)
-    devices: tuple[Literal["simulated", "pi"], ...] = ("simulated", "pi")
-    for device in devices:
-        settings = Settings(device=device, bundle=bundle_file, state_dir=state)
+    for device in ("simulated", "pi"):
+        given = {"device": device, "bundle": bundle_file, "state_dir": state}
+        settings = Settings.model_validate(given)
         found = {each.name: each for each in examine_beside(machine, settings)}
         # What is of the machine, and not of the daemon, matters to a real camera alone.
         assert ("board" in found) is (device == "pi")

@@ -33,9 +33,7 @@ class Built:
     """
 
     def __init__(
-        self,
-        imperfections: optical.Imperfections = optical.NOMINAL,
-        hardware: Conditions = QUIET,
+        self, imperfections: optical.Imperfections = optical.NOMINAL, hardware: Conditions = QUIET
     ) -> None:
         self.clock = Clock()
         self.image: npt.NDArray[np.float32] = np.ones(GEOMETRY.scene.shape, np.float32)

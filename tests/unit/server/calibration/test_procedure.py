@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 
@@ -12,13 +15,14 @@ from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.calibration.record import imperfections_of
-from veilcam_server.calibration.rig import CalibrationScene
 from veilcam_server.calibration.settling import SETTLED
 from veilcam_server.devices.corrected import CalibratedSensor
+from veilcam_server.devices.simulated.device import Conditions
 from veilcam_server.errors import CalibrationError
 
 from .camera import BUDGET, GEOMETRY, QUIET, SCAN, SETTLE, Built
 
+Image = npt.NDArray[np.float32]
 BADLY = optical.Imperfections(
     shift_y=30e-6,
     shift_x=-50e-6,
@@ -148,76 +152,63 @@ def test_panel_is_opaque_afterwards_come_what_may() -> None:
     assert blanks == [built.captures]
 
 
-def test_card_that_is_too_dark_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda _, image: image * np.float32(0.004), "too little light"),
+        (lambda _, image: np.full_like(image, 0.8), "cover it"),
+        pytest.param(
+            lambda name, image: np.roll(image, 2, axis=0) if name == "lamp" else image,
+            "where they should be",
+            marks=pytest.mark.thorough,
+        ),
+    ],
+    ids=["dim card", "light in the dark", "lamp elsewhere"],
+)
+def test_scene_that_is_not_as_asked_is_refused(
+    change: Callable[[str, Image], Image], told: str
+) -> None:
     built = Built()
     present = built.present
-
-    def dim(scene: CalibrationScene) -> None:
-        present(replace(scene, image=scene.image * np.float32(0.004)))
-
-    built.present = dim  # type: ignore[method-assign]
-    with pytest.raises(CalibrationError, match="too little light"):
+    built.present = lambda scene: present(  # type: ignore[method-assign]
+        replace(scene, image=change(scene.name, scene.image))
+    )
+    with pytest.raises(CalibrationError, match=told):
         built.calibrate()
 
 
-def test_darkness_that_is_none_is_refused() -> None:
-    built = Built()
-    present = built.present
-
-    def lit(scene: CalibrationScene) -> None:
-        present(replace(scene, image=np.full_like(scene.image, 0.8)))
-
-    built.present = lit  # type: ignore[method-assign]
-    with pytest.raises(CalibrationError, match="cover it"):
-        built.calibrate()
-
-
-def test_light_that_drifts_is_refused() -> None:
-    hardware = replace(QUIET, warm_up=0.3, warm_up_time=5.0)
-    with pytest.raises(CalibrationError, match="warm up"):
-        Built(hardware=hardware).calibrate()
-
-
-@pytest.mark.thorough
-def test_lamp_in_the_wrong_place_is_refused() -> None:
-    built = Built()
-    present = built.present
-
-    def elsewhere(scene: CalibrationScene) -> None:
-        moved = np.roll(scene.image, 2, axis=0) if scene.name == "lamp" else scene.image
-        present(replace(scene, image=moved))
-
-    built.present = elsewhere  # type: ignore[method-assign]
-    with pytest.raises(CalibrationError, match="where they should be"):
-        built.calibrate()
-
-
-def test_panel_that_shows_nothing_is_refused() -> None:
-    built = Built()
-    show, opened = built.device.display.show, np.full(GEOMETRY.camera.mask_shape, 63, np.uint8)
-    built.device.display.show = lambda levels: show(opened)  # type: ignore[method-assign]
-    with pytest.raises(CalibrationError, match="does not hide"):
-        built.calibrate()
-
-
-def test_too_many_dead_lines_are_refused() -> None:
-    imperfections = optical.Imperfections(dead_rows=(0, 1, 2, 3))
-    with pytest.raises(CalibrationError, match="4 of 15 rows"):
-        Built(imperfections).calibrate()
-
-
-def test_response_that_is_no_power_law_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("darkest", "told"),
+    [(0, "does not hide"), (32, "no power law")],
+    ids=["always open", "two levels"],
+)
+def test_panel_that_shows_something_else_is_refused(darkest: int, told: str) -> None:
+    """Everything from the darkest on is shown as open."""
     built = Built()
     show = built.device.display.show
-    # Everything above the middle is shown as open: a panel set up for two levels.
     built.device.display.show = lambda levels: show(  # type: ignore[method-assign]
-        np.where(levels > 31, 63, 0).astype(np.uint8)
+        np.where(levels >= darkest, 63, 0).astype(np.uint8)
     )
-    with pytest.raises(CalibrationError, match="no power law"):
+    with pytest.raises(CalibrationError, match=told):
         built.calibrate()
 
 
-@pytest.mark.slow
-def test_mask_that_is_too_far_off_is_refused() -> None:
-    with pytest.raises(CalibrationError, match=r"turned by|where they should be"):
-        Built(optical.Imperfections(rotation=40e-3)).calibrate()
+@pytest.mark.parametrize(
+    ("imperfections", "hardware", "told"),
+    [
+        ({}, replace(QUIET, warm_up=0.3, warm_up_time=5.0), "warm up"),
+        ({"dead_rows": (0, 1, 2, 3)}, QUIET, "4 of 15 rows"),
+        pytest.param(
+            {"rotation": 40e-3},
+            QUIET,
+            "turned by|where they should be",
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["drift", "dead lines", "turned mask"],
+)
+def test_camera_that_cannot_be_measured_is_refused(
+    imperfections: dict[str, Any], hardware: Conditions, told: str
+) -> None:
+    with pytest.raises(CalibrationError, match=told):
+        Built(optical.Imperfections(**imperfections), hardware).calibrate()

@@ -61,6 +61,10 @@ def make_record(**changes: Any) -> CalibrationRecord:
     return CalibrationRecord(**given | changes)
 
 
+def unsigned() -> SignedCalibration:
+    return SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
+
+
 def written(path: Path, record: CalibrationRecord, key: DeviceKey) -> SignedCalibration:
     signed = sign_record(record, key)
     write_record(path, signed)
@@ -230,27 +234,22 @@ def test_geometries_differ() -> None:
 
 
 def test_fence_never_grants_less_than_was_measured(tmp_path: Path) -> None:
-    signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
-    measured = 0.08 + 0.01
+    signed, measured = unsigned(), 0.08 + 0.01
     assert settle_time(settings_for(tmp_path), None) == Settings.model_fields["settle"].default
     assert settle_time(settings_for(tmp_path), signed) == pytest.approx(measured)
     assert settle_time(settings_for(tmp_path, settle=0.02), signed) == pytest.approx(measured)
     assert settle_time(settings_for(tmp_path, settle=0.2), signed) == 0.2
 
 
-def exposed(light: np.ndarray, not_before: float, timeout: float) -> Exposure:
-    """Measurement of a frame, and its raw light."""
-    mean = Light(float(light.mean()), 1e-4)
-    return Exposure(light.astype(np.float32), not_before, timeout, light=mean)
-
-
 class Sensor:
-    name = "a sensor"
-    full_scale = 1.0
-    closed = False
+    name, full_scale, closed = "a sensor", 1.0, False
+
+    def __init__(self, light: tuple[float, float] = (0.02, 0.52)) -> None:
+        self._light = np.array([light])
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
-        return exposed(np.array([[0.02, 0.52]]), not_before, timeout)
+        mean = Light(float(self._light.mean()), 1e-4)
+        return Exposure(self._light.astype(np.float32), not_before, timeout, light=mean)
 
     def light(self, not_before: float, timeout: float) -> Light:
         return self.capture(not_before, timeout).light
@@ -275,20 +274,13 @@ def test_measurements_are_those_that_decoders_expect() -> None:
 
 
 def test_light_that_went_astray_is_put_back() -> None:
-    straight, share = np.array([[0.0, 1.0]]), 0.1
-    strayed = (1 - share) * straight + share * straight.mean()
-
-    class Hazy(Sensor):
-        def capture(self, not_before: float, timeout: float) -> Exposure:
-            return exposed(0.02 + 0.5 * strayed, not_before, timeout)
-
-    corrected = CalibratedSensor(Hazy(), black_level=0.02, gain=0.5, stray_light=share)
-    exposure = corrected.capture(1.0, 2.0)
-    np.testing.assert_allclose(exposure.embedding, straight, atol=1e-7)
+    # A tenth of the light (0, 1) is spread evenly: (0.05, 0.95).
+    hazy = Sensor((0.02 + 0.5 * 0.05, 0.02 + 0.5 * 0.95))
+    corrected = CalibratedSensor(hazy, black_level=0.02, gain=0.5, stray_light=0.1)
+    np.testing.assert_allclose(corrected.capture(1.0, 2.0).embedding, [[0.0, 1.0]], atol=1e-7)
 
 
 def test_device_without_a_record_is_left_alone() -> None:
     device = Device(None, Sensor(), simulated=True)  # type: ignore[arg-type]
-    signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
     assert calibrated(device, None) is device
-    assert calibrated(device, signed).sensor.full_scale == pytest.approx(0.98 / 0.5)
+    assert calibrated(device, unsigned()).sensor.full_scale == pytest.approx(0.98 / 0.5)

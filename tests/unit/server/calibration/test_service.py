@@ -155,10 +155,7 @@ async def test_calibration_is_used_from_then_on(
     adopt = MaskedCamera.adopt
 
     def noted(
-        camera: MaskedCamera,
-        calibration: SignedCalibration,
-        settle: float,
-        source: MaskSource,
+        camera: MaskedCamera, calibration: SignedCalibration, settle: float, source: MaskSource
     ) -> None:
         settled.append(settle)
         adopt(camera, calibration, settle, source)
@@ -234,33 +231,21 @@ async def test_calibration_can_be_cancelled_while_it_waits_and_while_it_reads(
         assert service.written() is None
 
 
-def refused() -> None:
-    raise CalibrationError("too little light: light it")
-
-
-def broken() -> None:
-    raise DisplayError("the bus gave no answer")
-
-
-def defective() -> None:
-    raise ZeroDivisionError("secret words")
-
-
 @pytest.mark.parametrize(
-    ("before_measurement", "detail"),
+    ("fault", "detail"),
     [
-        (refused, "too little light: light it"),
-        (broken, "the bus gave no answer"),
-        (defective, "the daemon has a defect: nothing was changed"),
+        (CalibrationError("too little light: light it"), "too little light: light it"),
+        (DisplayError("the bus gave no answer"), "the bus gave no answer"),
+        (ZeroDivisionError("secret words"), "the daemon has a defect: nothing was changed"),
     ],
 )
 async def test_failure_changes_nothing(
-    running: Running,
-    service: Measuring,
-    before_measurement: Callable[[], None],
-    detail: str,
+    running: Running, service: Measuring, fault: Exception, detail: str
 ) -> None:
-    service.before_measurement = before_measurement
+    def fail() -> None:
+        raise fault
+
+    service.before_measurement = fail
     async with running() as client:
         run = await measured(client)
         assert (run.stage, run.detail) == ("failed", detail)

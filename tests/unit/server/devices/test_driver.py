@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import pytest
 
 from veilcam_server.devices import DeviceMissingError, DisplayError, SensorError
@@ -196,10 +197,13 @@ def test_added_panel_that_can_be_asked_is(
 
     asked = replace(DISPLAYS["PROMPT"], identify=lambda _: "a prompt", emulate=emulate)
     monkeypatch.setitem(DISPLAYS, "PROMPT", asked)
-    given: dict[str, Any] = {"bundle": Path("x.veilcam"), "panel": "PROMPT", "device": "simulated"}
+    given: dict[str, Any] = {"device": "simulated", "panel": "PROMPT", "sensor": "OTHER"}
     for read_back in (None, "miso", "sda"):
         more: dict[str, Any] = {"panel_read_back": read_back, "scenes": (str(scene_file),)}
-        open_device(Settings(**given, **more), bundle)
+        device = open_device(Settings(bundle=Path("x.veilcam"), **given, **more), bundle)
+        assert (device.display.name, device.sensor.name) == ("PROMPT", "OTHER")
+        device.display.show(np.zeros(bundle.camera.mask_shape, np.uint8))
+        device.sensor.capture(0.0, 1.0)
     assert told == [False, True, True]
 
 

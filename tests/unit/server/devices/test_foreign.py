@@ -67,75 +67,47 @@ class Library:
 @pytest.fixture
 def install(monkeypatch: pytest.MonkeyPatch) -> Callable[[Library], None]:
     def put(library: Library) -> None:
-        enter = library.enter
+        def passing(door: str, value: object = None) -> Callable[..., Any]:
+            def call(*_: object, **__: object) -> Any:
+                library.enter(door)
+                return value
+
+            return call
 
         class SpiDev:
-            def __init__(self) -> None:
-                enter("SpiDev")
+            __init__ = passing("SpiDev")
+            open, writebytes2 = passing("open"), passing("writebytes2")
+            fileno = passing("fileno", -1)
 
             def __setattr__(self, name: str, value: object) -> None:
-                enter(name)
+                library.enter(name)
                 super().__setattr__(name, value)
-
-            def open(self, *_: int) -> None:
-                enter("open")
-
-            def writebytes2(self, _: object) -> None:
-                enter("writebytes2")
-
-            def fileno(self) -> int:
-                enter("fileno")
-                return -1
 
             def close(self) -> None:
                 library.closed += 1
-                enter("close")
+                library.enter("close")
+
+        info = SimpleNamespace(label="pinctrl-rp1", used=False, consumer="")
 
         class Chip:
-            def __init__(self, _: str) -> None:
-                enter("Chip")
+            __init__, __exit__ = passing("Chip"), passing("close chip")
+            get_info, get_line_info = passing("get_info", info), passing("get_line_info", info)
 
             def __enter__(self) -> Chip:
                 return self
 
-            def __exit__(self, *_: object) -> None:
-                enter("close chip")
-
-            def get_info(self) -> Any:
-                enter("get_info")
-                return SimpleNamespace(label="pinctrl-rp1")
-
-            def get_line_info(self, _: int) -> Any:
-                enter("get_line_info")
-                return SimpleNamespace(used=False, consumer="")
-
-        class Lines:
-            def set_value(self, *_: object) -> None:
-                enter("set_value")
-
-            def release(self) -> None:
-                enter("release")
-
-        def request_lines(*_: object, **__: object) -> Lines:
-            enter("request_lines")
-            return Lines()
-
-        def line_settings(**_: object) -> None:
-            enter("LineSettings")
-
-        def picamera2(_: int) -> None:
-            enter("Picamera2")
-
+        lines = SimpleNamespace(set_value=passing("set_value"), release=passing("release"))
         value = SimpleNamespace(ACTIVE=1, INACTIVE=0)
         gpiod = SimpleNamespace(
             Chip=Chip,
-            LineSettings=line_settings,
-            request_lines=request_lines,
+            LineSettings=passing("LineSettings"),
+            request_lines=passing("request_lines", lines),
             line=SimpleNamespace(Value=value, Direction=SimpleNamespace(OUTPUT="output")),
         )
+        camera = passing("Picamera2")
         monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=SpiDev))
         monkeypatch.setitem(sys.modules, "gpiod", gpiod)
-        monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=picamera2))
+        monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=camera))
         monkeypatch.setattr(Path, "glob", lambda *_: iter([Path("/dev/gpiochip0")]))
 
     return put
@@ -168,17 +140,18 @@ def chain(error: BaseException | None) -> list[BaseException]:
     return [] if error is None else [error, *chain(error.__cause__), *chain(error.__context__)]
 
 
+SETTING = ("open", "mode", "max_speed_hz", "threewire")
+REQUESTING = ("get_line_info", "LineSettings", "request_lines")
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("error", WHATEVER, ids=IDS)
 @pytest.mark.parametrize(
     ("door", "use", "blamed"),
     [
-        *((door, use_spi, "/dev/spidev0.0") for door in ("SpiDev", "open", "mode")),
-        *((door, use_spi, "/dev/spidev0.0") for door in ("max_speed_hz", "threewire")),
+        *((door, use_spi, "/dev/spidev0.0") for door in ("SpiDev", *SETTING)),
         *((door, use_spi, "the panel's bus") for door in ("writebytes2", "close", "fileno")),
-        *((door, use_lines, "line.* of /dev/gpiochip0") for door in ("get_line_info",)),
-        *((door, use_lines, "line.* of /dev/gpiochip0") for door in ("LineSettings",)),
-        *((door, use_lines, "line.* of /dev/gpiochip0") for door in ("request_lines",)),
+        *((door, use_lines, "line.* of /dev/gpiochip0") for door in REQUESTING),
         *((door, use_lines, "the panel's GPIO lines") for door in ("set_value", "release")),
         ("Picamera2", use_camera, "camera 0"),
     ],
@@ -199,7 +172,7 @@ def test_library_that_raises_whatever_is_blamed_and_nothing_of_it_kept(
     (made,) = library.made
     assert made() is None
     # A bus that was opened and could not be set is let go.
-    assert library.closed == 1 or door not in ("open", "mode", "max_speed_hz", "threewire")
+    assert library.closed == 1 or door not in SETTING
 
 
 @pytest.mark.parametrize("error", WHATEVER, ids=IDS)

@@ -216,13 +216,8 @@ def test_sound_panel_shows_the_same_whether_it_is_asked_or_not(tab: str) -> None
     assert sent[1] == sent[0] + 1  # one command, and what follows it comes from the panel
 
 
-COMMANDS = {
-    "it sleeps": b"\x10",
-    "its display is off": b"\x28",
-    "it shows light for dark": b"\x21",
-    "its voltages are off, it sleeps, its display is off": b"\x01",
-}
-"""What a disturbance on the bus can tell a panel."""
+ASLEEP = (0x8061_0400 << 7).to_bytes(5, "big")
+"""Answer of a panel that sleeps."""
 
 
 def act_show(panel: ST7735R) -> None:
@@ -230,40 +225,38 @@ def act_show(panel: ST7735R) -> None:
 
 
 @pytest.mark.parametrize("act", [act_show, ST7735R.blank])
-@pytest.mark.parametrize(("told", "command"), COMMANDS.items())
+@pytest.mark.parametrize(
+    ("told", "command", "parameters"),
+    [
+        ("it sleeps", b"\x10", b""),
+        ("its display is off", b"\x28", b""),
+        ("it shows light for dark", b"\x21", b""),
+        ("its voltages are off, it sleeps, its display is off", b"\x01", b""),
+        *(("its memory is turned", b"\x36", order) for order in (b"\x00", b"\x48")),
+        *(("it takes another pixel format", b"\x3a", bits) for bits in (b"\x05", b"\x03")),
+    ],
+)
 def test_panel_that_was_told_something_else_is_found_after_the_next_write(
-    told: str, command: bytes, act: Callable[[ST7735R], None]
+    told: str, command: bytes, parameters: bytes, act: Callable[[ST7735R], None]
 ) -> None:
     emulator, clock = woken()
     asking, silent = (reading(emulator, clock, read_back=asked) for asked in (True, False))
     emulator.data(False)
     emulator.write(command)
+    emulator.data(True)
+    emulator.write(parameters)
     clock.sleep(1.0)
     act(silent)
     with pytest.raises(DisplayError, match=told):
         act(asking)
 
 
-@pytest.mark.parametrize(
-    "register", [b"\x36\x00", b"\x36\x48", b"\x3a\x05", b"\x3a\x03"], ids=bytes.hex
-)
-def test_register_that_was_changed_is_found(register: bytes) -> None:
+@pytest.mark.parametrize("fault", ["dead", "stuck", "inverted"])
+def test_silence_and_inverted_glass_are_for_light_to_tell(fault: str) -> None:
+    """Its controller knows nothing of inverted glass."""
     emulator, clock = woken()
     panel = reading(emulator, clock)
-    emulator.data(False)
-    emulator.write(register[:1])
-    emulator.data(True)
-    emulator.write(register[1:])
-    told = "its memory is turned" if register[0] == 0x36 else "it takes another pixel format"
-    with pytest.raises(DisplayError, match=told):
-        panel.show(LEVELS)
-
-
-@pytest.mark.parametrize("faults", [PanelFaults(dead=True), PanelFaults(stuck=True)])
-def test_silence_of_a_panel_is_for_light_to_tell(faults: PanelFaults) -> None:
-    emulator, clock = woken()
-    panel = reading(emulator, clock)
-    emulator.faults = faults
+    emulator.faults = PanelFaults.model_validate({fault: True})
     for act in (act_show, ST7735R.blank):
         act(panel)
     reading(emulator, clock).show(LEVELS)
@@ -288,7 +281,7 @@ def test_wrong_wiring_never_fails_a_sound_panel() -> None:
 def test_answer_is_believed_if_it_comes_three_times() -> None:
     emulator, clock = woken()
     panel = reading(emulator, clock)
-    asleep, read = (0x8061_0400 << 7).to_bytes(5, "big"), emulator.read
+    read = emulator.read
     answers: list[bytes] = []
 
     def said(command: int, count: int) -> bytes:
@@ -296,20 +289,12 @@ def test_answer_is_believed_if_it_comes_three_times() -> None:
 
     emulator.read = said  # type: ignore[method-assign]
     for wrong in (1, 2):
-        answers += [asleep] * wrong
+        answers += [ASLEEP] * wrong
         panel.show(LEVELS)
         assert not answers
-    emulator.read = lambda *_: asleep  # type: ignore[method-assign]
+    emulator.read = lambda *_: ASLEEP  # type: ignore[method-assign]
     with pytest.raises(DisplayError, match="it sleeps"):
         panel.show(LEVELS)
-
-
-def test_panel_that_is_gone_fails_on_its_bus_when_it_is_asked() -> None:
-    emulator, clock = woken()
-    reading(emulator, clock)
-    emulator.faults = PanelFaults(gone=True)
-    with pytest.raises(OSError, match="No such device"):
-        emulator.read(0x09, 5)
 
 
 def test_question_that_is_lost_has_no_answer() -> None:
@@ -324,14 +309,6 @@ def test_question_that_is_lost_has_no_answer() -> None:
     emulator._writes = 0
     panel.show(LEVELS + 1)
     assert np.array_equal(emulator.framebuffer(), before)
-
-
-def test_glass_that_shows_light_for_dark_is_not_in_the_status() -> None:
-    """Its controller knows nothing of it: that is for the light to tell."""
-    emulator, clock = woken()
-    panel = reading(emulator, clock)
-    emulator.faults = PanelFaults(inverted=True)
-    panel.show(LEVELS)
 
 
 def test_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
@@ -349,8 +326,7 @@ def test_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
 def test_mask_is_in_no_buffer_after_a_wrong_answer() -> None:
     emulator, clock = woken()
     panel = reading(emulator, clock)
-    asleep = (0x8061_0400 << 7).to_bytes(5, "big")
-    emulator.read = lambda *_: asleep  # type: ignore[method-assign]
+    emulator.read = lambda *_: ASLEEP  # type: ignore[method-assign]
     with pytest.raises(DisplayError) as caught:
         panel.show(LEVELS)
     assert not panel._pixels.any()

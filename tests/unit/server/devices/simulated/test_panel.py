@@ -272,12 +272,6 @@ def test_scan_reaches_every_line_once_and_in_its_order() -> None:
     assert host.panel.settled(101.0161)
 
 
-def test_slow_scan_takes_longer() -> None:
-    host = filled(Crystal(scan=0.5, phase=100.9))
-    assert not (shown(host, 101.2) == 63).all()
-    assert (shown(host, 101.51) == 63).all()
-
-
 def test_crystal_turns_linearly_from_where_it_is() -> None:
     host = filled(Crystal(scan=0.0, settle=0.1))
     assert shown(host, 101.025)[0] == pytest.approx(63 / 4)

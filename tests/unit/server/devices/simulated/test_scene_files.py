@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +16,6 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_training.data.idx import idx_bytes
-
-if TYPE_CHECKING:
-    pass
 
 SHAPE = (28, 28)
 
