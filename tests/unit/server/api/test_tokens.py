@@ -71,7 +71,6 @@ async def test_no_answer_has_more_than_it_should(
     [
         ("POST", "/v1/bundles", BUNDLE_MEDIA_TYPE),
         ("PUT", simulation.PATH, "image/png"),
-        ("PUT", "/v1/rotation", "application/json"),
     ],
 )
 async def test_upload_without_the_right_to_it_is_not_read(
@@ -86,6 +85,7 @@ async def test_upload_without_the_right_to_it_is_not_read(
     async with running(admission=Admission(store)) as client:
         client.headers["Content-Type"] = media_type
         assert (await client.request(method, path, content=body())).status_code == 401
+        assert (await client.put("/v1/rotation", content=body())).status_code == 401
         client.headers.update(bearer(store, "read:status", "classify"))
         assert (await client.request(method, path, content=body())).status_code == 403
     assert not reads

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.unit.server.security.conftest import bearer
+from tests.unit.server.security.conftest import Clock, bearer
 
 from veilcam_client.wire.lease import Lease as LeaseAnswer
 from veilcam_client.wire.lease import NewLease
@@ -27,14 +27,6 @@ ALL = (
     ("POST", "/v1/rotation/advance", None),
     ("PUT", "/v1/rotation", {"mode": "off"}),
 )
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def test_lease_ends_by_itself_and_can_be_renewed() -> None:
