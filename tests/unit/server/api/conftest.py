@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from veilcam_client.wire.tokens import Scope
+from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import Bundle, write_bundle
 
 
@@ -16,3 +18,12 @@ def upload(bundle: Bundle, tmp_path: Path) -> bytes:
     path = tmp_path / "other.veilcam"
     write_bundle(path, dataclasses.replace(bundle, task="other"))
     return path.read_bytes()
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> TokenStore:
+    return TokenStore(tmp_path / "tokens")
+
+
+def bearer(store: TokenStore, *scopes: Scope) -> dict[str, str]:
+    return {"Authorization": f"Bearer {store.create('one', scopes, None).secret}"}

@@ -24,7 +24,6 @@ from veilcam_server.api.app import create_app
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.errors import ProblemError
-from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:
     import httpx
@@ -121,12 +120,6 @@ async def test_rotation_by_hand_and_by_captures(running: Running, bench: Bench) 
     assert [epochs.count(epoch) for epoch in dict.fromkeys(epochs)] == [2, 2, 2]
 
 
-async def test_rotation_by_time_needs_no_captures(running: Running, bench: Bench) -> None:
-    async with running(policy=EverySeconds(seconds=0.1)):
-        await until(lambda: len(bench.epochs) >= 3)
-    assert len(bench.epochs) >= 3
-
-
 async def test_change_at_the_moment_of_closing_does_not_keep_the_service_open(
     bench: Bench,
 ) -> None:
@@ -159,14 +152,9 @@ async def test_rotation_by_time_outlives_a_failing_panel(
 @pytest.mark.parametrize(
     "policy",
     [
-        {"mode": "seconds", "seconds": 0},
-        {"mode": "seconds", "seconds": -1},
-        {"mode": "seconds", "seconds": True},
-        {"mode": "seconds", "seconds": "5"},
+        *({"mode": "seconds", "seconds": wrong} for wrong in (0, -1, True, "5")),
         {"mode": "seconds"},
-        {"mode": "captures", "captures": 0},
-        {"mode": "captures", "captures": 1.5},
-        {"mode": "captures", "captures": False},
+        *({"mode": "captures", "captures": wrong} for wrong in (0, 1.5, False)),
         {"mode": "captures", "captures": 1, "jitter": 2},
         {"mode": "sometimes"},
         {},
@@ -199,14 +187,12 @@ async def test_errors_of_the_protocol_are_problems(running: Running) -> None:
         wrong = await client.delete("/v1/status")
         problem(wrong, "method_not_allowed")
         assert wrong.headers["allow"] == "GET, HEAD"
-        problem(
-            await client.post("/v1/captures", headers={"Accept": "image/png"}), "not_acceptable"
-        )
-        problem(await client.get("/v1/status", headers={"Host": "camera.example"}), "host_refused")
-        problem(
-            await client.post("/v1/captures", headers={"Idempotency-Key": "x" * 200}),
-            "invalid_request",
-        )
+        for method, path, headers, code in (
+            ("POST", "/v1/captures", {"Accept": "image/png"}, "not_acceptable"),
+            ("GET", "/v1/status", {"Host": "camera.example"}, "host_refused"),
+            ("POST", "/v1/captures", {"Idempotency-Key": "x" * 200}, "invalid_request"),
+        ):
+            problem(await client.request(method, path, headers=headers), code)
 
 
 @pytest.mark.parametrize("path", ["/v1/captures", "/v1/classifications", "/v1/rotation/advance"])
@@ -266,14 +252,6 @@ async def test_body_that_breaks_off_is_no_defect(
     assert bench.sensor.captures == 0
 
 
-async def test_host_names_of_this_machine_are_served(running: Running) -> None:
-    async with running() as client:
-        for host in ("localhost", "LOCALHOST:8787", "127.0.0.1:1", "127.8.9.1", "[::1]:80"):
-            assert (await client.get("/v1/status", headers={"Host": host})).is_success
-        for host in ("localhost.example", "127.0.0.1.example", "10.0.0.1", "", "localhost:x"):
-            assert (await client.get("/v1/status", headers={"Host": host})).status_code == 421
-
-
 @pytest.mark.parametrize(
     ("error", "code"),
     [
@@ -326,10 +304,7 @@ async def test_full_queue_turns_requests_away(running: Running, bench: Bench) ->
     async with running(queue_limit=2) as client:
         bench.sensor.before = lambda: (go_on.wait(100), None)[1]
         waiting = [asyncio.create_task(client.post("/v1/captures")) for _ in range(2)]
-        while True:
-            status = Status.model_validate_json((await client.get("/v1/status")).content)
-            if status.queue.waiting == 2:
-                break
+        while (await client.get("/v1/status")).json()["queue"]["waiting"] < 2:
             await asyncio.sleep(0.01)
         refused = await client.post("/v1/captures")
         problem(refused, "queue_full")
@@ -361,18 +336,6 @@ async def test_repeated_key_in_parallel_is_done_once(running: Running, bench: Be
         )
     assert len({answer.json()["epoch"] for answer in answers}) == 1
     assert len(bench.epochs) == 2
-
-
-async def test_failure_is_not_kept_under_its_key(running: Running, bench: Bench) -> None:
-    def fail() -> None:
-        raise SensorError("no frame came")
-
-    key = {"Idempotency-Key": "again"}
-    async with running() as client:
-        bench.sensor.before = fail
-        problem(await client.post("/v1/captures", headers=key), "sensor_failed")
-        bench.sensor.before = lambda: None
-        assert (await client.post("/v1/captures", headers=key)).is_success
 
 
 async def test_defect_is_a_problem_that_tells_nothing(
@@ -448,10 +411,7 @@ def test_no_two_errors_share_a_code_and_none_is_forgotten() -> None:
 
 
 def test_every_route_is_documented(bench: Bench) -> None:
-    from veilcam_server.api.app import create_app
-
-    service: Service = bench.service(bench.camera())
-    paths = create_app(service).openapi()["paths"]
+    paths = create_app(bench.service(bench.camera())).openapi()["paths"]
     text = DOCS.read_text()
     for path, methods in paths.items():
         for method in methods:

@@ -11,6 +11,7 @@ import anyio.lowlevel
 import httpx
 import pytest
 from starlette.types import Message
+from tests.unit.server.api.conftest import bearer
 from tests.unit.server.api.test_page import POLICY
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
@@ -23,7 +24,6 @@ from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
-    from pathlib import Path
 
     from tests.unit.server.conftest import Bench, Running
 
@@ -47,11 +47,6 @@ PAGE_CAN_SEND = (
 """Without asking first (https://fetch.spec.whatwg.org/#cors-safelisted-request-header)."""
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> TokenStore:
-    return TokenStore(tmp_path / "tokens")
-
-
 def check(answer: httpx.Response) -> int:
     # What has a tag is kept by who asked, who asks each time whether it still holds.
     kept = "private, no-cache" if "etag" in answer.headers else "no-store"
@@ -69,10 +64,9 @@ def check(answer: httpx.Response) -> int:
 async def test_every_answer_of_every_route_tells_a_browser_to_make_nothing_of_it(
     running: Running, bench: Bench, store: TokenStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    token = {"Authorization": f"Bearer {store.create('all', SCOPES, None).secret}"}
+    token = bearer(store, *SCOPES)
     # A stream that is let in would not end here: it is refused for its number.
-    streams = ConcurrencyLimit(0, TooManyStreamsError)
-    admission = Admission(store, streams=streams)
+    admission = Admission(store, streams=ConcurrencyLimit(0, TooManyStreamsError))
     statuses: Counter[int] = Counter()
     async with running(admission=admission, raising=False) as client:
         document = (await client.get("/v1/openapi.json", headers=token)).json()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -47,8 +46,8 @@ async def test_call_is_named_in_every_answer(
     assert (answer.status_code, answer.headers[CALL_HEADER]) == (status, NAME)
 
 
-async def test_call_without_a_token_is_named_too(running: Running, tmp_path: Path) -> None:
-    async with running(admission=Admission(TokenStore(tmp_path))) as client:
+async def test_call_without_a_token_is_named_too(running: Running, store: TokenStore) -> None:
+    async with running(admission=Admission(store)) as client:
         answer = await client.get("/v1/status", headers={CALL_HEADER: NAME})
     assert (answer.status_code, answer.headers[CALL_HEADER]) == (401, NAME)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import pytest
 from starlette.types import Message
+from tests.unit.server.api.conftest import bearer
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
@@ -65,9 +66,8 @@ BODIES: dict[tuple[str, str], Any] = {
 
 
 @pytest.fixture
-def admission(tmp_path: Path) -> Iterator[Admission]:
+def admission(tmp_path: Path, store: TokenStore) -> Iterator[Admission]:
     """Of a daemon that wants tokens, keeps its audit log, and can open no event stream."""
-    store = TokenStore(tmp_path / "tokens")
     done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
     # A stream that is let in would not end: it is let in if it is refused for its number.
     yield Admission(
@@ -78,9 +78,8 @@ def admission(tmp_path: Path) -> Iterator[Admission]:
 
 
 @pytest.fixture
-def token(admission: Admission) -> dict[str, str]:
-    assert admission.tokens is not None
-    return {"Authorization": f"Bearer {admission.tokens.create('all', SCOPES, None).secret}"}
+def token(store: TokenStore) -> dict[str, str]:
+    return bearer(store, *SCOPES)
 
 
 async def requests(

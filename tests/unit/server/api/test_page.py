@@ -10,6 +10,7 @@ from urllib.parse import urljoin
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.server.api.conftest import bearer
 
 from veilcam_client.wire.events import EVENT_KINDS
 from veilcam_client.wire.status import Remedy, State
@@ -44,9 +45,9 @@ def table(name: str) -> dict[str, str]:
 
 
 async def test_everybody_may_have_them_and_they_load_from_the_daemon_alone(
-    running: Running, tmp_path: Path
+    running: Running, store: TokenStore
 ) -> None:
-    async with running(admission=Admission(TokenStore(tmp_path / "tokens"))) as client:
+    async with running(admission=Admission(store)) as client:
         for path in PATHS:
             answer = await client.get(path)
             assert answer.status_code == 200, path
@@ -70,18 +71,17 @@ async def test_page_has_no_other_file(running: Running) -> None:
 
 @pytest.mark.parametrize("cut", [True, False])
 async def test_page_behind_a_path_of_a_proxy_works(
-    running: Running, tmp_path: Path, cut: bool
+    running: Running, store: TokenStore, tmp_path: Path, cut: bool
 ) -> None:
     """The proxy cuts the path off, or leaves that to the daemon."""
-    tokens = TokenStore(tmp_path / "tokens")
-    sessions = SessionStore(tmp_path / "tokens", tokens)
+    sessions = SessionStore(tmp_path / "tokens", store)
     site = Site(root_path="/a/camera")
-    token = {"Authorization": f"Bearer {tokens.create('x', ('read:status',), None).secret}"}
+    token = bearer(store, "read:status")
 
     def asked(path: str) -> str:
         return path.removeprefix("/a/camera") if cut else path
 
-    async with running(admission=Admission(tokens, site, sessions=sessions)) as client:
+    async with running(admission=Admission(store, site, sessions=sessions)) as client:
         for page in ("/a/camera/", "/a/camera/docs"):
             answer = await client.get(asked(page))
             links = re.findall(r'(?:href|src)="([^#"]+)"', answer.text)

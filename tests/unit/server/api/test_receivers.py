@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from tests.unit.server.api.conftest import bearer
 
 from veilcam_client import AsyncCamera
 from veilcam_client.errors import ApiError, SealedError
@@ -123,15 +124,13 @@ async def test_sealed_embedding_is_no_array(running: Running, fresh_bench: Bench
         assert fresh_bench.sensor.captures == 0
 
 
-async def test_scopes_and_the_audit_log(running: Running, bench: Bench, tmp_path: Path) -> None:
-    tokens = TokenStore(tmp_path)
+async def test_scopes_and_the_audit_log(
+    running: Running, bench: Bench, store: TokenStore, tmp_path: Path
+) -> None:
     audit = AuditLog(tmp_path / DONE)
-
-    def headers(*scopes: Scope) -> dict[str, str]:
-        return {"Authorization": f"Bearer {tokens.create('one', scopes, None).secret}"}
-
-    async with running(admission=Admission(tokens, audit=audit)) as client:
-        reader, admin = headers("read:status", "admin:tokens"), headers("admin:receivers")
+    reader = bearer(store, "read:status", "admin:tokens")
+    admin = bearer(store, "admin:receivers")
+    async with running(admission=Admission(store, audit=audit)) as client:
         assert (await client.get(PATH, headers=reader)).status_code == 200
         for given in (
             await client.post(PATH, json=QUESTION, headers=reader),
@@ -162,12 +161,11 @@ async def test_scopes_and_the_audit_log(running: Running, bench: Bench, tmp_path
     ],
 )
 async def test_scores_are_told_by_scope(
-    running: Running, bench: Bench, tmp_path: Path, scopes: tuple[Scope, ...], told: str
+    running: Running, bench: Bench, store: TokenStore, scopes: tuple[Scope, ...], told: str
 ) -> None:
     bench.sensor.measurement = 0.1 * np.random.default_rng(0).random((4, 5), np.float32)
-    tokens = TokenStore(tmp_path)
-    headers = {"Authorization": f"Bearer {tokens.create('one', scopes, None).secret}"}
-    async with running(admission=Admission(tokens)) as client:
+    headers = bearer(store, *scopes)
+    async with running(admission=Admission(store)) as client:
         found: dict[str, Any] = (await client.post("/v1/classifications", headers=headers)).json()
     assert found["label"] in bench.bundle.labels
     if told == "nothing":

@@ -22,11 +22,10 @@ pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture
-def admission(tmp_path: Path) -> Iterator[Admission]:
-    tokens = TokenStore(tmp_path / "tokens")
+def admission(tmp_path: Path, store: TokenStore) -> Iterator[Admission]:
     done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
-    sessions = SessionStore(tmp_path / "tokens", tokens)
-    yield Admission(tokens, audit=done, refused=refused, sessions=sessions)
+    sessions = SessionStore(tmp_path / "tokens", store)
+    yield Admission(store, audit=done, refused=refused, sessions=sessions)
     refused.close()
     done.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from tests.unit.server.bundles.test_manager import chunks
 
 from veilcam_client.wire.bundles import (
     BUNDLE_MEDIA_TYPE,
@@ -18,7 +19,7 @@ from veilcam_client.wire.bundles import (
     InstalledBundle,
     InstalledBundles,
 )
-from veilcam_client.wire.events import BundleChanged
+from veilcam_client.wire.events import BundleChanged, Event
 from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good, note_start
 from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
@@ -30,7 +31,6 @@ from veilcam_server.errors import (
     StartError,
 )
 from veilcam_server.masks.pairs import load_pairs
-from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, OwnerKey, read_bundle, sign_bundle, write_bundle
 
 if TYPE_CHECKING:
@@ -147,15 +147,12 @@ async def test_bundle_installed_before_there_were_owners_is_shown_and_not_used(
 
 async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, make: Make) -> None:
     service = bench.service(bench.camera())
-    heard: list[BundleChanged] = []
+    heard: list[Event] = []
+    service._events.subscribe(heard.append)
     async with service.open():
-        start = f"{service._events.log._boot}-0"
 
         async def taken(data: bytes) -> str:
-            async def chunks() -> AsyncIterator[bytes]:
-                yield data
-
-            return (await service.bundles.install(chunks())).digest
+            return (await service.bundles.install(chunks(data))).digest
 
         old, new = await taken(make(3)), await taken(make(4))
         plain = await taken(make())
@@ -165,12 +162,8 @@ async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, m
                 await service.activate_bundle(digest)
         await service.activate_bundle(old, allow_older=True)
         await service.activate_bundle(new)
-        async for event in service.events(start):
-            if event is None:
-                break
-            if isinstance(event, BundleChanged):
-                heard.append(event)
-    assert [(event.version, event.older) for event in heard] == [(4, False), (3, True), (4, False)]
+    changes = [event for event in heard if isinstance(event, BundleChanged)]
+    assert [(each.version, each.older) for each in changes] == [(4, False), (3, True), (4, False)]
 
 
 async def test_key_to_repeat_with_is_of_one_answer_to_older(running: Running, make: Make) -> None:
@@ -355,8 +348,3 @@ def test_versions_used_are_remembered() -> None:
     assert Owners().remember(info, Used(2, 3, "b")) == Used(4, 3, "b")
     assert OWNERS.remember(info, Used(2, 3, "b")) == Used(4, 4, "a")
     assert OWNERS.remember(info, Used(9, 9, "b")) == Used(4, 9, "b")
-
-
-def test_older_one_is_never_taken_from_owners() -> None:
-    with pytest.raises(ValueError, match="leave out --allow-older"):
-        Settings(bundle=Path("a"), owner_keys=Path("b"), allow_older=True)

@@ -129,13 +129,8 @@ def test_masks_change_every_so_many_seconds(told: list[Any]) -> None:
 def test_masks_never_change(told: list[Any]) -> None:
     run("serve", "--simulate", "--rotation-off")
     assert told[0].rotation == RotationOff()
-    for more in (
-        ("--every-seconds", "3"),
-        ("--every-captures", "3"),
-        ("--jitter", "0"),
-        ("--reuse", "0"),
-    ):
-        result = runner.invoke(app, ["serve", "--simulate", "--rotation-off", *more])
+    for more in ("--every-seconds=3", "--every-captures=3", "--jitter=0", "--reuse=0"):
+        result = runner.invoke(app, ["serve", "--simulate", "--rotation-off", more])
         assert result.exit_code == 1
         assert "with --rotation-off no mask changes" in result.stderr
 

@@ -61,19 +61,19 @@ def test_observer_with_a_key_draws_the_mask_of_an_envelope(
         assert np.array_equal(observer.levels(number), mask.levels)
 
 
-def test_long_table_is_cut_short() -> None:
-    def sample(number: int) -> Sample:
-        return Sample(f"{number:032}", number, True, settle=0, capture=0, rest=0)
+def sample(epoch: str, mask: int, right: bool) -> Sample:
+    return Sample(epoch, mask, right, settle=0.1, capture=0.02, rest=0.004)
 
-    table = Tally([sample(number) for number in range(EPOCHS_SHOWN + 7)]).table()
+
+def test_long_table_is_cut_short() -> None:
+    table = Tally(
+        [sample(f"{number:032}", number, True) for number in range(EPOCHS_SHOWN + 7)]
+    ).table()
     assert table.row_count == EPOCHS_SHOWN + 2
     assert "and 7 more" in list(table.columns[0].cells)
 
 
 def test_tally_counts() -> None:
-    def sample(epoch: str, mask: int, right: bool) -> Sample:
-        return Sample(epoch, mask, right, settle=0.1, capture=0.02, rest=0.004)
-
     tally = Tally([sample("a", 0, True), sample("a", 0, False), sample("b", 2, True)])
     assert tally.summary() == "accuracy=0.667 captures=3 masks=2"
     assert tally.table().row_count == 3

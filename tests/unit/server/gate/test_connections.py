@@ -14,6 +14,10 @@ class Room:
         self.connections = Connections(limit)
         self.gone: list[str] = []
 
+    def fill(self, *names: str) -> None:
+        for name in names:
+            self.enter(name)
+
     def enter(self, name: str, place: Place = Place.UNFINISHED) -> Connection:
         """Enter as the peer that the first letter names."""
         connection = self.connections.enter(name[0])
@@ -25,8 +29,7 @@ class Room:
 
 def test_oldest_unfinished_has_to_go() -> None:
     room = Room(3)
-    for name in ("a1", "a2", "a3", "a4", "a5"):
-        room.enter(name)
+    room.fill("a1", "a2", "a3", "a4", "a5")
     assert room.gone == ["a1", "a2"]
     assert len(room.connections) == 3
     assert room.connections.dropped["evicted"] == 2
@@ -57,8 +60,7 @@ def test_unfinished_connection_goes_before_an_idle_one() -> None:
 
 def test_peer_pushes_out_itself() -> None:
     room = Room(4)
-    for name in ("b1", "a1", "a2", "a3", "a4", "a5", "a6"):
-        room.enter(name)
+    room.fill("b1", "a1", "a2", "a3", "a4", "a5", "a6")
     assert room.gone == ["a1", "a2", "a3"]
     assert (room.connections.of("a"), room.connections.of("b")) == (3, 1)
     room.enter("b2")
@@ -73,28 +75,25 @@ def test_work_makes_no_peer_the_largest() -> None:
     room.enter("a1")
     room.enter("b1", Place.WORKING)
     room.enter("b2", Place.WORKING)
-    room.enter("a2")
-    room.enter("b3")
+    room.fill("a2", "b3")
     assert room.gone == ["a1"]
 
 
-def test_place_is_taken_up_anew_with_a_new_request() -> None:
+@pytest.mark.parametrize(
+    ("places", "gone"),
+    [
+        ((), "a1"),  # still the same request
+        ((Place.WORKING, Place.IDLE), "a2"),
+    ],
+)
+def test_place_is_taken_up_anew_with_a_new_request(places: tuple[Place, ...], gone: str) -> None:
     room = Room(3)
     first = room.enter("a1")
     room.enter("a2")
-    first.move(Place.UNFINISHED)  # still the same request
-    room.enter("a3")
-    room.enter("a4")
-    assert room.gone == ["a1"]
-    room = Room(3)
-    first = room.enter("a1")
-    room.enter("a2")
-    first.move(Place.WORKING)
-    first.move(Place.IDLE)
-    first.move(Place.UNFINISHED)
-    room.enter("a3")
-    room.enter("a4")
-    assert room.gone == ["a2"]
+    for place in (*places, Place.UNFINISHED):
+        first.move(place)
+    room.fill("a3", "a4")
+    assert room.gone == [gone]
 
 
 def test_connection_that_ends_makes_room() -> None:
@@ -132,8 +131,7 @@ def test_ended_connection_is_not_referred_to_any_more() -> None:
 
 def test_one_line_a_minute_tells_of_evictions(capsys: pytest.CaptureFixture[str]) -> None:
     room = Room(1)
-    for number in range(100):
-        room.enter(f"a{number}")
+    room.fill(*(f"a{number}" for number in range(100)))
     text = capsys.readouterr().out
     assert text.count("connections full") == 1
     assert "peer=a" in text

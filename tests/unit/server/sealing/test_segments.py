@@ -12,7 +12,7 @@ import pytest
 
 from veilcam_client.keys.capture_log import line_digest
 from veilcam_server.sealing import segments as module
-from veilcam_server.sealing.segments import Ending, Segments, lines_of, position_of
+from veilcam_server.sealing.segments import Ending, Segments, lines_of
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -29,6 +29,11 @@ def chain(count: int) -> list[bytes]:
 
 LINES = chain(12)
 ROOM = 3 * (len(LINES[0]) + 1)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "log"
 
 
 def genuine(line: bytes) -> bool:
@@ -56,30 +61,31 @@ def recovered(folder: Path) -> tuple[Ending, Segments]:
     return segments.recover(genuine), segments
 
 
-def test_lines_are_in_files_that_are_named_by_their_first(tmp_path: Path) -> None:
-    with closing(written(tmp_path / "log")) as segments:
+def test_lines_are_in_files_that_are_named_by_their_first(folder: Path) -> None:
+    with closing(written(folder)) as segments:
         assert content(segments) == LINES[:8]
         assert content(segments, 3) == content(segments, 5) == LINES[3:8]
         assert content(segments, 99) == LINES[6:8]
-    names = sorted(path.name for path in (tmp_path / "log").iterdir())
+    names = sorted(path.name for path in folder.iterdir())
     assert names == [f"{first:020d}.jsonl" for first in (0, 3, 6)]
-    assert {path.stat().st_mode & 0o777 for path in (tmp_path / "log").iterdir()} == {0o600}
-    assert (tmp_path / "log").stat().st_mode & 0o777 == 0o700
+    assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o600}
+    assert folder.stat().st_mode & 0o777 == 0o700
 
 
-def test_nothing_is_there_before_the_first_line(tmp_path: Path) -> None:
-    ending, segments = recovered(tmp_path / "log")
+def test_nothing_is_there_before_the_first_line(folder: Path) -> None:
+    ending, segments = recovered(folder)
     assert ending == Ending(None, torn=False, breaks=0)
     assert segments.files(0) == []
     assert segments.flushable() is None
     assert (segments.oldest, segments.surplus) == (0, 0)
-    assert not (tmp_path / "log").exists()
+    assert not folder.exists()
     segments.close()
 
 
-def test_log_goes_on_where_it_ended(tmp_path: Path) -> None:
-    written(tmp_path / "log").close()
-    ending, segments = recovered(tmp_path / "log")
+def test_log_goes_on_where_it_ended(folder: Path) -> None:
+    written(folder).close()
+    (folder / "notes.txt").write_text("none of its business")
+    ending, segments = recovered(folder)
     assert ending == Ending(LINES[7], torn=False, breaks=0)
     with closing(segments):
         for position in (8, 9):
@@ -88,19 +94,19 @@ def test_log_goes_on_where_it_ended(tmp_path: Path) -> None:
     assert not segments.aside.exists()
 
 
-def test_oldest_make_room_once_that_is_said(tmp_path: Path) -> None:
-    with closing(written(tmp_path / "log", 7, kept=2)) as segments:
+def test_oldest_make_room_once_that_is_said(folder: Path) -> None:
+    with closing(written(folder, 7, kept=2)) as segments:
         assert (segments.oldest, segments.surplus) == (0, 3)
         segments.drop()
         assert (segments.oldest, segments.surplus) == (3, 0)
         assert content(segments) == LINES[3:7]
         segments.drop()
-    assert len(list((tmp_path / "log").iterdir())) == 2
+    assert len(list(folder.iterdir())) == 2
 
 
-def test_segment_that_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
-    with closing(written(tmp_path / "log", 7, kept=2)) as segments:
-        (tmp_path / "log" / f"{0:020d}.jsonl").unlink()
+def test_segment_that_cannot_be_removed_stops_nothing(folder: Path) -> None:
+    with closing(written(folder, 7, kept=2)) as segments:
+        (folder / f"{0:020d}.jsonl").unlink()
         segments.drop()
         assert segments.oldest == 3
 
@@ -120,13 +126,13 @@ def test_segment_that_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_end_is_set_aside(
-    tmp_path: Path, damage: Callable[[bytes], bytes], last: int
+    folder: Path, damage: Callable[[bytes], bytes], last: int
 ) -> None:
-    written(tmp_path / "log").close()
-    newest = tmp_path / "log" / f"{6:020d}.jsonl"
+    written(folder).close()
+    newest = folder / f"{6:020d}.jsonl"
     held = newest.read_bytes()
     newest.write_bytes(damage(held))
-    ending, segments = recovered(tmp_path / "log")
+    ending, segments = recovered(folder)
     with closing(segments):
         assert ending.last == LINES[last]
         assert ending.torn == (last < 7 or damage(held).startswith(held))
@@ -139,15 +145,15 @@ def test_damaged_end_is_set_aside(
         assert newest.exists()
 
 
-def test_segments_set_aside_before_make_room(tmp_path: Path) -> None:
+def test_segments_set_aside_before_make_room(folder: Path) -> None:
     for _ in range(2):
-        written(tmp_path / "log").close()
-        for path in (tmp_path / "log").iterdir():
+        written(folder).close()
+        for path in folder.iterdir():
             path.write_bytes(b"x")
-        ending, segments = recovered(tmp_path / "log")
+        ending, segments = recovered(folder)
         assert ending == Ending(None, torn=True, breaks=0)
         assert len(list(segments.aside.iterdir())) == 3
-        assert not list((tmp_path / "log").iterdir())
+        assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -161,58 +167,50 @@ def test_segments_set_aside_before_make_room(tmp_path: Path) -> None:
     ],
 )
 def test_damage_before_the_end_is_counted_and_left_as_it_is(
-    tmp_path: Path, damage: Callable[[bytes], bytes], breaks: int
+    folder: Path, damage: Callable[[bytes], bytes], breaks: int
 ) -> None:
-    written(tmp_path / "log").close()
-    middle = tmp_path / "log" / f"{3:020d}.jsonl"
+    written(folder).close()
+    middle = folder / f"{3:020d}.jsonl"
     damaged = damage(middle.read_bytes())
     middle.write_bytes(damaged)
-    ending, segments = recovered(tmp_path / "log")
+    ending, segments = recovered(folder)
     segments.close()
     assert ending == Ending(LINES[7], torn=False, breaks=breaks)
     assert middle.read_bytes() == damaged
 
 
-def test_file_that_is_gone_is_a_break_and_one_that_cannot_be_read_stays(tmp_path: Path) -> None:
-    written(tmp_path / "log").close()
-    middle = tmp_path / "log" / f"{3:020d}.jsonl"
+def test_file_that_is_gone_is_a_break_and_one_that_cannot_be_read_stays(folder: Path) -> None:
+    written(folder).close()
+    middle = folder / f"{3:020d}.jsonl"
     middle.unlink()
-    ending, segments = recovered(tmp_path / "log")
+    ending, segments = recovered(folder)
     assert ending == Ending(LINES[7], torn=False, breaks=1)
     segments.close()
-    for unreadable in (middle, sorted((tmp_path / "log").iterdir())[-1]):
+    for unreadable in (middle, sorted(folder.iterdir())[-1]):
         unreadable.unlink(missing_ok=True)
         os.mkfifo(unreadable)
         with pytest.raises(OSError, match="Not a regular file"):
-            recovered(tmp_path / "log")
+            recovered(folder)
         assert unreadable.is_fifo()
-        assert not (tmp_path / "log.damaged").exists()
-
-
-def test_other_files_are_none_of_its_business(tmp_path: Path) -> None:
-    written(tmp_path / "log").close()
-    (tmp_path / "log" / "notes.txt").write_text("mine")
-    ending, segments = recovered(tmp_path / "log")
-    segments.close()
-    assert ending == Ending(LINES[7], torn=False, breaks=0)
+        assert not (folder.with_name("log.damaged")).exists()
 
 
 @pytest.mark.parametrize("count", [0, 2, 3])
 @pytest.mark.parametrize("half", [True, False])
 def test_full_disk_leaves_neither_half_a_line_nor_an_empty_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, half: bool
+    folder: Path, monkeypatch: pytest.MonkeyPatch, count: int, half: bool
 ) -> None:
     def pwrite(file: int, data: bytes, place: int) -> int:
         if not half:
             raise FULL
         return real(file, data[:9], place)
 
-    segments, real = written(tmp_path / "log", count), os.pwrite
+    segments, real = written(folder, count), os.pwrite
     monkeypatch.setattr(os, "pwrite", pwrite)
     for _ in range(2):
         with pytest.raises(OSError, match="No space"):
             segments.append(count, LINES[count])
-        held = sorted((tmp_path / "log").iterdir())
+        held = sorted(folder.iterdir())
         assert b"".join(path.read_bytes() for path in held) == b"".join(
             line + b"\n" for line in LINES[:count]
         )
@@ -225,9 +223,9 @@ def test_full_disk_leaves_neither_half_a_line_nor_an_empty_file(
 
 
 def test_half_a_line_that_cannot_be_undone_is_written_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    segments, real = written(tmp_path / "log", 1), os.pwrite
+    segments, real = written(folder, 1), os.pwrite
     monkeypatch.setattr(os, "pwrite", lambda file, data, at: real(file, data[:9], at))
     monkeypatch.setattr(os, "ftruncate", lambda *_: (_ for _ in ()).throw(FULL))
     with pytest.raises(OSError, match="No space"):
@@ -239,27 +237,22 @@ def test_half_a_line_that_cannot_be_undone_is_written_over(
     segments.close()
 
 
-def test_file_that_somebody_removes_is_begun_anew(tmp_path: Path) -> None:
-    segments = written(tmp_path / "log", 2)
-    for path in (tmp_path / "log").iterdir():
+def test_file_that_somebody_removes_is_begun_anew(folder: Path) -> None:
+    segments = written(folder, 2)
+    for path in folder.iterdir():
         path.unlink()
-    (tmp_path / "log").rmdir()
+    folder.rmdir()
     segments.append(2, LINES[2])
     segments.close()
-    assert (tmp_path / "log" / f"{2:020d}.jsonl").read_bytes() == LINES[2] + b"\n"
+    assert (folder / f"{2:020d}.jsonl").read_bytes() == LINES[2] + b"\n"
 
 
 def test_file_is_on_the_disk_before_the_next_begins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flushed: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda file: flushed.append(os.fstat(file).st_size))
     monkeypatch.setattr(module, "sync_folder", lambda _: flushed.append(-1))
-    (tmp_path / "log").mkdir()
-    written(tmp_path / "log", 4).close()
+    folder.mkdir()
+    written(folder, 4).close()
     assert flushed == [-1, ROOM, -1]
-
-
-def test_position_is_read_off_a_line() -> None:
-    assert position_of(LINES[7]) == 7
-    assert position_of(LINES[7][1:]) is None

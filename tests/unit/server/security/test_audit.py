@@ -15,11 +15,7 @@ from tests.unit.server.damage import DAMAGES
 from tests.unit.server.security.conftest import bearer
 
 from veilcam_client.wire.tokens import NewToken
-from veilcam_server.errors import (
-    AuditError,
-    ProblemError,
-    StartError,
-)
+from veilcam_server.errors import AuditError, ProblemError, StartError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.limits import RateLimit

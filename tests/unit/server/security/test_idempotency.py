@@ -127,6 +127,7 @@ async def test_record_is_on_the_disk_before_anybody_hears_of_it(tmp_path: Path) 
     with pytest.raises(OSError, match="not done"):
         await desk.keys.once("a", "failed", REQUEST, fail)
     assert KeyRecord(tmp_path).read() == {}
+    assert await desk.ask("failed") == 1
     await desk.ask("k")
     assert set(KeyRecord(tmp_path).read().values()) == {REQUEST}
     content = b"".join(path.read_bytes() for path in tmp_path.iterdir())

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.server.security.conftest import Clock, bearer
 
 from veilcam_client.wire.lease import Lease as LeaseAnswer
 from veilcam_client.wire.lease import NewLease
@@ -21,19 +22,11 @@ if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
 
 ALL = (
-    ("POST", "/v1/captures"),
-    ("POST", "/v1/classifications"),
-    ("POST", "/v1/rotation/advance"),
-    ("PUT", "/v1/rotation"),
+    ("POST", "/v1/captures", None),
+    ("POST", "/v1/classifications", None),
+    ("POST", "/v1/rotation/advance", None),
+    ("PUT", "/v1/rotation", {"mode": "off"}),
 )
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def test_lease_ends_by_itself_and_can_be_renewed() -> None:
@@ -59,20 +52,10 @@ def test_lease_ends_by_itself_and_can_be_renewed() -> None:
 
 
 async def ask(client: httpx.AsyncClient, headers: dict[str, str]) -> list[int]:
-    policy = {"mode": "off"}
-    return [
-        (
-            await client.request(
-                method, path, headers=headers, json=policy if method == "PUT" else None
-            )
-        ).status_code
-        for method, path in ALL
+    answers = [
+        await client.request(method, path, headers=headers, json=body) for method, path, body in ALL
     ]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> TokenStore:
-    return TokenStore(tmp_path / "state")
+    return [answer.status_code for answer in answers]
 
 
 @pytest.mark.anyio
@@ -80,17 +63,8 @@ async def test_with_tokens_the_token_is_the_holder(
     running: Running, store: TokenStore, bench: Bench
 ) -> None:
     clock = Clock()
-    first, second = (
-        {
-            "Authorization": "Bearer "
-            + store.create(
-                label,
-                ("read:status", "read:embedding", "read:embedding:raw", "classify", "mask:rotate"),
-                None,
-            ).secret
-        }
-        for label in ("first", "second")
-    )
+    scopes: tuple[Scope, ...] = ("read:status", "read:embedding", "read:embedding:raw", "classify")
+    first, second = (bearer(store, *scopes, "mask:rotate") for _ in "12")
     wanted = {"owner": "an experiment", "seconds": 60}
     async with running(admission=Admission(tokens=store, lease=Lease(clock))) as client:
         assert await ask(client, second) == [200] * 4
@@ -173,11 +147,8 @@ async def test_without_tokens_a_secret_is_the_holder(running: Running) -> None:
 @pytest.mark.parametrize(
     "body",
     [
-        {"owner": "me", "seconds": 0},
-        {"owner": "me", "seconds": 3601},
-        {"owner": "me", "seconds": "5"},
-        {"owner": "", "seconds": 5},
-        {"owner": "a\nb", "seconds": 5},
+        *({"owner": "me", "seconds": wrong} for wrong in (0, 3601, "5")),
+        *({"owner": wrong, "seconds": 5} for wrong in ("", "a\nb")),
         {"seconds": 5},
     ],
 )

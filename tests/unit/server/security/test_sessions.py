@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from starlette.datastructures import Headers
+from tests.unit.server.security.conftest import Clock
 
 from veilcam_server.errors import TokenStoreError, UnauthorizedError
 from veilcam_server.security.sessions import (
@@ -23,16 +24,6 @@ if TYPE_CHECKING:
     from veilcam_server.errors import ProblemError
 
 HOST = "127.0.0.1:8787"
-
-
-class Clock:
-    """Time that a test sets."""
-
-    def __init__(self) -> None:
-        self.now = 1e9
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture
@@ -110,6 +101,7 @@ def test_session_outlasts_a_restart_and_the_disk_has_neither_half(
 ) -> None:
     begun, left = begin(sessions, tokens), begin(sessions, tokens)
     sessions.end(headers(left))
+    sessions.end(Headers({"host": HOST}))  # of none: it changes nothing
     restarted = SessionStore(tmp_path / "state", tokens)
     assert is_let_in(restarted, headers(begun))
     assert not is_let_in(restarted, headers(left))
@@ -118,12 +110,6 @@ def test_session_outlasts_a_restart_and_the_disk_has_neither_half(
         assert half.encode() not in written
     assert begun.cookie not in repr(begun)
     assert begun.half not in repr(begun)
-
-
-def test_to_end_what_is_none_changes_nothing(sessions: SessionStore, tokens: TokenStore) -> None:
-    begun = begin(sessions, tokens)
-    sessions.end(Headers({"host": HOST}))
-    assert is_let_in(sessions, headers(begun))
 
 
 def test_one_token_has_so_many_and_the_oldest_ends_first(
@@ -137,18 +123,13 @@ def test_one_token_has_so_many_and_the_oldest_ends_first(
     assert is_let_in(sessions, headers(other))
 
 
-@pytest.fixture
-def full_disk(monkeypatch: pytest.MonkeyPatch, sessions: SessionStore) -> None:
+def test_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
+    sessions: SessionStore, tokens: TokenStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sessions._file, "change", refuse)
-
-
-@pytest.mark.usefixtures("full_disk")
-def test_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
-    sessions: SessionStore, tokens: TokenStore
-) -> None:
     begun = begin(sessions, tokens)
     assert is_let_in(sessions, headers(begun))
     with pytest.raises(TokenStoreError, match="No space left"):
@@ -169,11 +150,7 @@ def test_damaged_sessions_are_told_of_and_everybody_logs_in_again(
 
 
 def test_daemons_on_one_host_have_cookies_of_their_own() -> None:
-    names = [cookie_name(host) for host in ("a", "a:1", "a:2", "[::1]", "[::1]:443")]
-    assert names == [
-        "veilcam-session",
-        "veilcam-session-1",
-        "veilcam-session-2",
-        "veilcam-session",
-        "veilcam-session-443",
-    ]
+    ends = {"a": "", "a:1": "-1", "a:2": "-2", "[::1]": "", "[::1]:443": "-443"}
+    assert {host: cookie_name(host) for host in ends} == {
+        host: f"veilcam-session{end}" for host, end in ends.items()
+    }

@@ -10,6 +10,7 @@ from veilcam_server.security.admission import open_admission
 from veilcam_server.security.site import Site
 from veilcam_server.settings import Settings
 
+LINK = {"host": "localhost", "sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
 LOCAL = Site()
 OTHERS = Site(addresses=True)
 PROXIED = Site(hosts=("camera.example", "door.example:8443"))
@@ -90,13 +91,7 @@ def test_origin_is_a_name_of_this_daemon(
 
 
 def test_two_modes_of_one_request_are_none() -> None:
-    headers = [
-        ("host", "localhost"),
-        ("sec-fetch-site", "cross-site"),
-        ("sec-fetch-dest", "document"),
-        ("sec-fetch-mode", "navigate"),
-    ]
-    raw = [(name.encode(), value.encode()) for name, value in headers]
+    raw = Headers({**LINK, "sec-fetch-dest": "document"}).raw
     LOCAL.require("GET", "/", Headers(raw=raw))
     with pytest.raises(CrossSiteError):
         LOCAL.require("GET", "/", Headers(raw=[*raw, (b"sec-fetch-mode", b"cors")]))
@@ -111,14 +106,7 @@ def test_link_and_a_frame_that_is_allowed_lead_to_a_page(
 ) -> None:
     site = Site(frame_ancestors=ancestors)
     for destination in ("document", "iframe", "frame", "image", "empty", ""):
-        headers = Headers(
-            {
-                "host": "localhost",
-                "sec-fetch-site": "cross-site",
-                "sec-fetch-mode": "navigate",
-                "sec-fetch-dest": destination,
-            }
-        )
+        headers = Headers({**LINK, "sec-fetch-dest": destination})
         for path in ("/", "/docs"):
             if destination in opened:
                 site.require("GET", path, headers)
