@@ -25,7 +25,7 @@ from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.camera.capture import MaskedCapture
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceError, DisplayError
+from veilcam_server.devices import DeviceError, DisplayError, SensorError
 from veilcam_server.devices.imx477 import HALF
 from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import DISPLAYS, open_device
@@ -341,6 +341,23 @@ def test_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Sett
     service._camera.test_if_due()
     assert service.status().state == "ready"
     service.stop()
+
+
+def test_camera_that_is_not_there_leaves_the_panel_opaque(
+    board: Board, settings: Settings, bundle: Bundle
+) -> None:
+    def none(_: int) -> None:
+        raise IndexError("list index out of range")
+
+    sys.modules["picamera2"].Picamera2 = none  # type: ignore[attr-defined]
+    device = open_device(settings, bundle)
+    device.display.blank()
+    with pytest.raises(SensorError, match="there is no camera 0"):
+        device.sensor.capture(0.0, 1.0)
+    device.close()
+    assert board.asked["spi closed"]
+    assert board.asked["lines closed"]
+    assert not board.panel.framebuffer().any()
 
 
 def test_fast_bus_is_warned_of(board: Board, settings: Settings, bundle: Bundle) -> None:

@@ -27,7 +27,9 @@ from veilcam_server.settings import DoctorSettings, Settings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
-PROGRAMS = {("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT"}
+PROGRAMS: dict[tuple[str, ...], str] = {
+    ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT"
+}
 
 
 @dataclass
