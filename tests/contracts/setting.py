@@ -23,24 +23,13 @@ Kind = Literal["weights", "field", "signed"]
 
 @dataclass(frozen=True)
 class Setting:
-    """Sizes, types and lengths; the lengths may be tensors that ask for a gradient.
-
-    Attributes:
-        rows: scene rows, grid rows and embedding columns; a mask has two rows more.
-        columns: scene columns, grid columns and embedding rows; a mask has one column more.
-        dtype: real type that the operator works in.
-        device: where tensors live.
-        distance: propagation or mask-to-sensor distance [m]; the source is 50 times as far.
-        wavelength: of green [m]; red is 10 % longer, blue 10 % shorter.
-        pitch: of a grid [m]; a panel's pitch is twice (y) and three times (x) as long.
-        variables: tensors that take the place of ``distance``, ``wavelength`` or ``pitch``.
-    """
+    """Sizes, types and lengths; the lengths may be tensors that ask for a gradient."""
 
     rows: int = 5
     columns: int = 4
     dtype: torch.dtype = torch.float64
     device: torch.device = CPU
-    distance: float = 1e-3
+    distance: float = 1e-3  # [m], of lengths all
     wavelength: float = 550e-9
     pitch: float = 20e-6
     variables: Mapping[str, Tensor] = field(default_factory=dict)
@@ -97,14 +86,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Bound:
-    """An operator in one setting: a function of one tensor.
-
-    Attributes:
-        apply: the function; a batched operator takes any number of leading axes.
-        shape: of one input.
-        result: shape of one output.
-        kind: what an input may hold.
-    """
+    """An operator in one setting: a function of one tensor."""
 
     apply: Callable[[Tensor], Tensor]
     shape: tuple[int, ...]
@@ -127,40 +109,24 @@ class Bound:
 
 @dataclass(frozen=True)
 class Operator:
-    """One entry of the registry.
-
-    Attributes:
-        name: as the documentation lists it.
-        bind: makes the operator for a setting.
-        linear: ``apply`` is linear in its input.
-        batched: leading axes of the input are independent of each other.
-        smooth: the gradient is the derivative (a straight-through estimator's is not).
-        forward: can be differentiated forward as well as in reverse.
-        mirror: mirroring the input's rows (columns) mirrors these axes of the output, given for
-            rows and for columns; empty where there is no such symmetry.
-        quantities: lengths of the setting that gradients reach.
-        dtypes: real types that are offered.
-        meta: works on shapes alone (the device ``meta``): nothing depends on values.
-        refuses: an input of another shape is refused.
-        random: draws numbers, other ones on another device or in another type.
-        dark: nothing in, nothing out.
-        widens: why float64 is computed while applying in float32; empty where it is not.
-    """
+    """One entry of the registry."""
 
     name: str
     bind: Callable[[Setting], Bound]
     linear: bool = False
     batched: bool = False
-    smooth: bool = True
-    forward: bool = True
+    smooth: bool = True  # the gradient is the derivative
+    forward: bool = True  # can be differentiated forward, too
     mirror: tuple[tuple[int, ...], tuple[int, ...]] = ((-2,), (-1,))
+    """Axes of the output that mirroring the input's rows, or columns, mirrors."""
     quantities: tuple[str, ...] = ()
     dtypes: tuple[torch.dtype, ...] = (torch.float64, torch.float32)
-    meta: bool = False
-    refuses: bool = True
+    meta: bool = False  # works on shapes alone
+    refuses: bool = True  # an input of another shape
     random: bool = False
-    dark: bool = True
+    dark: bool = True  # nothing in, nothing out
     widens: str = ""
+    """Why float64 is computed while applying in float32."""
 
 
 def symmetric_weights(setting: Setting) -> Tensor:

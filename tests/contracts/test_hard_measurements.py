@@ -55,10 +55,7 @@ def test_saturated_embedding() -> None:
 
 @pytest.mark.parametrize("mean", [0.0, 1.0, 1 / 784])
 def test_one_photon(mean: float) -> None:
-    """A photon in each pixel, or in a whole image: mean and variance are those of both noises.
-
-    The black level keeps the half of the noise that is below zero.
-    """
+    """A photon in each pixel, or in a whole image: mean and variance are those of both noises."""
     conditions = Conditions(
         electrons=1000.0,
         full_well=1000.0,

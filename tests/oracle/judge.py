@@ -100,14 +100,7 @@ class Result:
 def truth(
     job: Job, weights: Array, enough: Callable[[Array], float], *, limit: float = LIMIT
 ) -> tuple[Array, float]:
-    """Exact transfers of masks, and how far they may be off.
-
-    Args:
-        job: whose.
-        weights: masks.
-        enough: error that will do, of the transfers; below it cells and points are made no finer.
-        limit: seconds of the processor for all of a job.
-    """
+    """Exact transfers of masks, and how far they may be off."""
     optics, amplitudes = light(job), shown(job, weights)
     narrow = optics.y.scene_pixel / job.scene.distance <= _POINT
     finer = (optics.affordable(MOST_WORK) or 1.0) / 2
@@ -143,14 +136,7 @@ def truth(
 
 
 def _better(optics: Light, finer: float, cells: float, few: float) -> list[tuple[Light, float]]:
-    """More points and finer cells, from as many as would do to hardly more.
-
-    Args:
-        optics: what was not enough.
-        finer: and its cells.
-        cells: factor by which these are too coarse: of the fourth power of a side.
-        few: factor by which points in a scene pixel are too few: of the square of their distance.
-    """
+    """More points and finer cells, from as many as would do to hardly more."""
     factor = min(_FINER, max(_COARSER, _SAFE * cells**0.25))
     least = int(few > 1 / 2)
     more = max(least, math.ceil(optics.sources * (min(2.0, math.sqrt(few)) - 1)))
@@ -166,14 +152,7 @@ def _better(optics: Light, finer: float, cells: float, few: float) -> list[tuple
 def _by_finer_cells(
     optics: Light, amplitudes: Array, halves: Array, finer: float
 ) -> tuple[list[int], Array]:
-    """Scene pixels in the corner and in the middle, and their transfers by half as wide cells.
-
-    Args:
-        optics: the job.
-        amplitudes: of one mask.
-        halves: its transfer by cells in halves.
-        finer: the cells.
-    """
+    """Scene pixels in the corner and in the middle, and their transfers by half as wide cells."""
     columns = optics.x.scene_pixels
     pixels = sorted({(0, 0), (optics.y.scene_pixels // 2, columns // 2)})
     picked = [row * columns + column for row, column in pixels]
@@ -182,26 +161,14 @@ def _by_finer_cells(
 
 
 def _elsewhere(ways: list[Array], picked: list[int]) -> float:
-    """How much more cells change all transfers of all masks than some of the first mask's.
-
-    Args:
-        ways: transfers by two ways.
-        picked: scene pixels of the first mask that are looked at closely.
-    """
+    """How much more cells change all transfers of all masks than some of the first mask's."""
     one, other = ways
     here = distance(one[:1, picked], other[:1, picked])
     return distance(one, other) / here if here else 1.0
 
 
 def _by_more_points(optics: Light, amplitudes: Array, found: list[Array], finer: float) -> float:
-    """What more points in the scene pixel in the corner change: relative L2.
-
-    Args:
-        optics: the job.
-        amplitudes: of one mask.
-        found: transfers by cells in one, two, ... parts; the last is looked at.
-        finer: the cells.
-    """
+    """What more points in the scene pixel in the corner change: relative L2."""
     more = replace(optics, sources=optics.sources + 1)
     other = transfer(more, amplitudes, finer=finer, times=len(found), only=(0, 0))
     return distance(found[-1][:1, :1], other)

@@ -121,11 +121,7 @@ class Light:
 
 
 def extrapolated(larger: Array, smaller: Array, ratio: float) -> Array:
-    """Of transfers by larger and smaller cells, what cells of no size would give.
-
-    A cell's light is right to first order: what is wrong shrinks by the square of the side
-    (Richardson 1911).
-    """
+    """Of transfers by larger and smaller cells, what cells of no size would give (Richardson)."""
     return smaller + (smaller - larger) / (ratio**2 - 1)
 
 
@@ -137,18 +133,9 @@ def transfer(
     times: int = 1,
     only: tuple[int, int] | None = None,
 ) -> Array:
-    """The transfer matrices of masks.
+    """Transfers of masks (masks, scene pixels, embedding pixels); ``only`` one scene pixel.
 
-    Args:
-        light: the job.
-        amplitudes: what each channel's light passes, (masks, 3, rows, columns).
-        finer: factor on the number of cells.
-        times: parts along each side of such a cell.
-        only: one scene pixel (row, column); None for all.
-
-    Returns:
-        (masks, scene pixels, embedding pixels), relative to the irradiance at the mask's middle of
-        a scene pixel on the axis, times the number of scene pixels.
+    Relative to the irradiance at the mask's middle of a pixel on the axis, times their number.
     """
     y, x = light.y, light.x
     cells_y, cells_x = light.cells(y, finer, times), light.cells(x, finer, times)
@@ -188,10 +175,7 @@ def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
 
 
 def _evened(light: Light, point: tuple[float, float], distance: float) -> float:
-    """Mean brightness of the part of a scene pixel around a point, over the point's own.
-
-    A wide part sends less by Lambert's law, twice the distance and the slant of the mask: cos^4.
-    """
+    """Mean brightness of the part of a scene pixel around a point, over the point's own."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     y, x = (
         (at + axis.scene_pixel / light.sources / 2 * nodes) / distance

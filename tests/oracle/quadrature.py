@@ -21,17 +21,7 @@ Nodes = tuple[Array, Array]
 def transfer(
     light: Light, amplitudes: Array, *, nodes: tuple[int, int, int], pixel: tuple[int, int]
 ) -> Array:
-    """The irradiance in every embedding pixel of one scene pixel's light.
-
-    Args:
-        light: the job.
-        amplitudes: what each channel's light passes, (masks, 3, rows, columns).
-        nodes: along a side of an aperture, of an embedding pixel and of a scene pixel.
-        pixel: the scene pixel (row, column).
-
-    Returns:
-        (masks, embedding pixels), as :func:`tests.oracle.physics.transfer` has them.
-    """
+    """The irradiance in every embedding pixel of one scene pixel's light."""
     found = np.zeros((len(amplitudes), light.y.pixels, light.x.pixels))
     hole_y, hole_x = _holes(light.y, nodes[0]), _holes(light.x, nodes[0])
     sensor_y, sensor_x = _sensor(light.y, nodes[1]), _sensor(light.x, nodes[1])

@@ -46,13 +46,7 @@ FILLER = np.tile(np.linspace(0, 255, SIDE).astype(np.uint8), (SIDE, 1))
 
 
 class Doors:
-    """All three, with one app behind the last.
-
-    Args:
-        folder: to write files into.
-        put: sends a request to the app.
-        held: gives what the app's camera looks at.
-    """
+    """All three, with one app behind the last."""
 
     def __init__(
         self,

@@ -87,15 +87,7 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
 
 @dataclass
 class Findings:
-    """Answers of one daemon.
-
-    Attributes:
-        defects: 5xx other than a documented 503.
-        undocumented: statuses, media types and shapes that the document does not name.
-        left: all contents that left, and the place of each.
-        sealed: sealed embeddings, by epoch and number.
-        made: tokens that were made meanwhile; each left once, in the answer that made it.
-    """
+    """Answers of one daemon."""
 
     statuses: Counter[int] = field(default_factory=Counter)
     defects: list[str] = field(default_factory=list)
@@ -113,10 +105,7 @@ class Findings:
 
 
 class Fuzz:
-    """Caller of one daemon, who checks every answer against its document.
-
-    The caller ``everything`` has every scope and sends ``more`` times as much as another.
-    """
+    """Caller of one daemon, who checks every answer against its document."""
 
     def __init__(
         self, url: str, callers: Mapping[str, str | None], examples: int, more: int

@@ -28,14 +28,7 @@ BODY = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """Sockets that are held open at once.
-
-    Attributes:
-        sockets: number of sockets; they take the kinds, sources and tokens in turn.
-        seconds: time for which dropped sockets are opened anew [s].
-        lingering: time for which the rest is kept after that [s].
-        tokens: tokens of bodies; None for none.
-    """
+    """Sockets that are held open at once."""
 
     address: Address
     sockets: int

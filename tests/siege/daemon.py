@@ -63,14 +63,7 @@ def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BasePro
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circumstances:
-    """Surroundings of a daemon.
-
-    Attributes:
-        log: file or device of its log; beside its state by default.
-        disk: size of a disk under state and log that it alone sees [bytes]; None for none.
-        full: whether that disk is full before the start.
-        clock: shift of its wall clock [s], which may jump.
-    """
+    """Surroundings of a daemon."""
 
     log: Path | None = None
     disk: int | None = None
@@ -150,10 +143,7 @@ def _live(
 
 
 def _mount(folder: Path, size: int) -> None:
-    """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees.
-
-    A user without the right to mount does so in a name space of users, if the kernel allows that.
-    """
+    """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees."""
     library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")
     try:

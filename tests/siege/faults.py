@@ -95,10 +95,7 @@ async def device_gone(ground: Ground, judgement: Judgement) -> None:
 
 
 async def _endure(judgement: Judgement, daemon: Daemon, when: str, *, bearable: bool) -> None:
-    """Use a daemon in trouble: it may refuse, with a remedy, but not end, or say it is well.
-
-    Where a trouble is ``bearable``, it may be well indeed.
-    """
+    """Use a daemon in trouble: it may refuse, with a remedy, but not end, or say it is well."""
     for _ in range(5):
         await daemon.address.ask("POST", "/v1/classifications", {})
         await daemon.address.ask("POST", "/v1/rotation/advance")

@@ -29,14 +29,7 @@ EACH, LIFE, MOST_LIVES = 6, 3.0, 30
 
 @dataclass
 class Loot:
-    """Embeddings that left, over all lives.
-
-    Attributes:
-        epochs: number of embeddings in each epoch.
-        masks: number of equal embeddings: without noise, all of one scene behind one mask are
-            equal, in whatever epoch.
-        spent: refusals because all masks are spent.
-    """
+    """Embeddings that left, over all lives."""
 
     epochs: Counter[str] = field(default_factory=Counter)
     masks: Counter[bytes] = field(default_factory=Counter)

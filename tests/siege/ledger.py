@@ -21,20 +21,7 @@ ADVANCE, KEY = "/v1/rotation/advance", "Idempotency-Key"
 
 @dataclass
 class Ledger:
-    """Acknowledged changes, over all lives of a daemon.
-
-    Attributes:
-        policy: rotation policies that may hold: the last acknowledged one, and one under way.
-        active: digests of the bundles that may be active, in the same way.
-        valid: ids of tokens that were made, and whose end was not asked for.
-        revoked: ids of tokens that were revoked.
-        key: idempotency key of the last acknowledged work, and the time of its request on the
-            monotonic clock [s].
-        installed: presence of each bundle, by its digest; None while nobody can tell.
-        paired: presence of each receiver, by its id, in the same way.
-        noted: ids of requests that changed something, which the audit log must name.
-        lost: acknowledgements that the next life did not keep.
-    """
+    """Acknowledged changes, over all lives of a daemon."""
 
     policy: list[object]
     active: list[object]

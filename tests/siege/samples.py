@@ -52,10 +52,7 @@ PAIRS = 3
 
 
 def small_bundle(task: str = "mnist") -> Bundle:
-    """Return a bundle of three stored masks, with random classifiers of every kind of layer.
-
-    Of one length of ``task`` masks and classifiers are always the same.
-    """
+    """Return a bundle of three stored masks, with random classifiers of every kind of layer."""
     with torch.random.fork_rng():
         torch.manual_seed(len(task))
 

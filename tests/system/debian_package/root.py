@@ -25,10 +25,7 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 
 
 def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
-    """Return the archive of a root; made if it is not there.
-
-    With ``ca-certificates`` among its packages it trusts whom this machine trusts.
-    """
+    """Return the archive of a root; made if it is not there."""
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
         part = file.with_suffix(".part.tar")

@@ -78,10 +78,7 @@ class Supervisor:
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 
     def spent(self) -> float:
-        """Return the processor time of all starts so far, and of the pauses between them [s].
-
-        It is what a start takes on a machine that has nothing else to do.
-        """
+        """Return the processor time of all starts so far, and of the pauses between them [s]."""
         ended = resource.getrusage(resource.RUSAGE_CHILDREN)
         process, running = self._process, 0.0
         if process is not None and process.poll() is None:

@@ -189,10 +189,7 @@ def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
 
 
 def test_errors_of_one_sign_add_up() -> None:
-    """One dark pixel 1.1 mm behind two apertures of 15 um, in light of 8.4 and 12 um.
-
-    What is read at the middle, a curved wave and large angles all make it brighter.
-    """
+    """One dark pixel 1.1 mm behind two apertures of 15 um, in light of 8.4 and 12 um."""
     panel = replace(bare(24.3e-6, 24.3e-6 * 3 / 5), rows=2, columns=1)
     camera = Camera(
         panel=panel,
