@@ -120,7 +120,6 @@ def test_quick_table_is_run_once_and_reported(
 
 
 def finish(work: Path, test: float, **settings: object) -> CellResult:
-    """Put a finished cell with a made-up accuracy into ``work``."""
     chosen = Settings.model_validate(settings)
     rows, columns = map(int, chosen.embedding.split("x"))
     epoch = EpochRecord(

@@ -56,7 +56,6 @@ def _light_matrix(setting: Setting) -> Bound:
 
 
 def _light_embed(name: str, method: Method, *, rotation: float = 0.0, widens: str = "") -> Operator:
-    """From scenes to noiseless measurements."""
 
     def bind(setting: Setting) -> Bound:
         operator = LightOperator(_model(setting, method, field=True, rotation=rotation)).to(
@@ -84,7 +83,6 @@ def _light_mask(setting: Setting) -> Bound:
 
 
 def _measurement(setting: Setting) -> Bound:
-    """Black level, full well and converter, no noise."""
     model = measurement_model(
         Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02), shot=False
     )

@@ -93,7 +93,6 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
 
 
 def named_tests(path: Path) -> dict[str, str]:
-    """Names of a file's tests, each with the first line of its docstring."""
     return {
         node.name: (ast.get_docstring(node) or "").split("\n")[0]
         for node in ast.parse(path.read_text()).body
@@ -102,7 +101,6 @@ def named_tests(path: Path) -> dict[str, str]:
 
 
 def places(name: str) -> list[str]:
-    """Files below ``tests`` that have the test ``test_NAME``, each with its full name."""
     files = [path for each in FOLDERS for path in sorted((TESTS / each).rglob("test_*.py"))]
     found = [path.relative_to(TESTS) for path in files if f"def test_{name}(" in path.read_text()]
     assert found, f"there is no test_{name}"
@@ -110,7 +108,6 @@ def places(name: str) -> list[str]:
 
 
 def measured(operator: Operator, contract: Contract) -> str:
-    """One cell: the distance from keeping a promise, to one digit."""
     if not contract.applies(operator):
         return ""
     value = contract.measure(operator)
@@ -122,12 +119,10 @@ def measured(operator: Operator, contract: Contract) -> str:
 
 
 def blank(operator: Operator, contract: Contract) -> str:
-    """One cell without its number: what can be compared on any machine."""
     return ("#" if contract.tolerance else "kept") if contract.applies(operator) else ""
 
 
 def without_numbers(page: str) -> str:
-    """A page with every measured number blanked."""
     before, heading, rest = page.partition("## Measured")
     table, end, after = rest.partition("Where float64 is computed")
     table = re.sub(r"(?<=\| )(\de[+-]\d+|exact)(?= \|)", "#", table)
@@ -135,7 +130,6 @@ def without_numbers(page: str) -> str:
 
 
 def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
-    """The page, line by line."""
     yield "# Numerical stability"
     yield ""
     yield "Written by `python -m tests.contracts.report`; do not edit. Every operator of the"
@@ -193,7 +187,6 @@ def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
 
 
 def render(cell: Callable[[Operator, Contract], str]) -> str:
-    """The whole page."""
     return "\n".join(lines(cell)).rstrip() + "\n"
 
 

@@ -35,23 +35,19 @@ class Setting:
     variables: Mapping[str, Tensor] = field(default_factory=dict)
 
     def length(self, name: str) -> Real:
-        """One of the three lengths [m]: its tensor where it is a variable, else the number."""
         if name in self.variables:
             return self.variables[name]
         return {"distance": self.distance, "wavelength": self.wavelength, "pitch": self.pitch}[name]
 
     @property
     def complex_dtype(self) -> torch.dtype:
-        """The complex type that belongs to ``dtype``."""
         return torch.complex128 if self.dtype == torch.float64 else torch.complex64
 
     @property
     def mask_shape(self) -> tuple[int, int]:
-        """Rows and columns of the mask."""
         return self.rows + 2, self.columns + 1
 
     def camera(self, *, filters: bool = False, leakage: float = 0.0) -> Camera:
-        """A camera of a few sub-pixels, with the plain numbers of this setting."""
         pitch, wavelength = self.pitch, self.wavelength
         rows, columns = self.mask_shape
         panel = Panel(
@@ -74,27 +70,22 @@ class Setting:
         )
 
     def scene(self) -> Scene:
-        """A scene whose image covers at most half the sensor's height."""
         distance = 50 * self.distance
         height = 50 * 5 * self.pitch * self.rows / max(self.rows, self.columns)
         return Scene(rows=self.rows, columns=self.columns, height=height, distance=distance)
 
     def embedding(self) -> Embedding:
-        """An embedding of the scene's shape, turned by 90 degrees."""
         return Embedding(rows=self.columns, columns=self.rows)
 
 
 @dataclass(frozen=True)
 class Bound:
-    """An operator in one setting: a function of one tensor."""
-
     apply: Callable[[Tensor], Tensor]
     shape: tuple[int, ...]
     result: tuple[int, ...]
     kind: Kind = "weights"
 
     def sample(self, setting: Setting, seed: int = 0, batch: tuple[int, ...] = ()) -> Tensor:
-        """A random input of the kind that the operator takes."""
         generator = torch.Generator().manual_seed(seed)
         shape = (*batch, *self.shape)
         if self.kind == "field":
@@ -109,8 +100,6 @@ class Bound:
 
 @dataclass(frozen=True)
 class Operator:
-    """One entry of the registry."""
-
     name: str
     bind: Callable[[Setting], Bound]
     linear: bool = False
@@ -138,7 +127,6 @@ def symmetric_weights(setting: Setting) -> Tensor:
 
 
 def centred(count: int, setting: Setting) -> Tensor:
-    """Whole steps around zero, float64 (count,)."""
     index = torch.arange(count, dtype=torch.float64, device=setting.device)
     return index - (count - 1) / 2
 

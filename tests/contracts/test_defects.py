@@ -84,7 +84,6 @@ def test_open_area_is_exact() -> None:
 
 
 def test_dim_mask_stays_dim() -> None:
-    """Nothing is divided by its own maximum, neither light nor levels."""
     light = operator()
     assert relative(light(some_weights() / 2), light(some_weights()) / 4) < 1e-13
     half = to_levels(torch.full(CAMERA.mask_shape, 0.5), Panel())

@@ -97,7 +97,6 @@ def _propagation(
 
 
 def _point_spread(name: str, *, scene_distance: float) -> Operator:
-    """From a complex transmittance to its irradiance."""
 
     def bind(setting: Setting) -> Bound:
         pitch = setting.length("pitch")

@@ -21,7 +21,6 @@ packs = pytest.mark.skipif(
 
 
 def wheel(folder: Path, name: str, version: str, *lines: str) -> None:
-    """What pip leaves of a package beside its code."""
     info = folder / f"{name}-{version}.dist-info"
     info.mkdir(parents=True)
     told = [f"Name: {name}", f"Version: {version}", *lines]
@@ -30,7 +29,6 @@ def wheel(folder: Path, name: str, version: str, *lines: str) -> None:
 
 @pytest.fixture
 def release(tmp_path: Path) -> Path:
-    """A release of two packages beside our own."""
     folder = tmp_path / "stage/usr/lib/veilcam/unpacked"
     wheel(folder / "lib", "veilcam", "1.2.3", "License-Expression: Apache-2.0")
     for minor in ("py311", "py313"):

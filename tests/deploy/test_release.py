@@ -63,7 +63,6 @@ class Device:
 
 @pytest.fixture
 def device(tmp_path: Path) -> Device:
-    """A device whose first release was ready."""
     made = Device(tmp_path)
     made.install("1")
     made.start(ready=True)

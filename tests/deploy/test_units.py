@@ -36,7 +36,6 @@ def fields(name: str) -> dict[str, str]:
 
 @pytest.fixture
 def units(tmp_path: Path) -> Path:
-    """The units in a folder, with a program that exists."""
     for name in ("veilcamd.service", "veilcamd.socket", "veilcam-mqtt.service"):
         text = (DEPLOY / name).read_text()
         program = r"/usr/(bin/veilcam[a-z-]*|lib/veilcam/release)"

@@ -22,7 +22,6 @@ SMALLER: Mapping[str, str] = {"--count 1000": "--count 300", "--epochs 40": "--e
 
 
 async def run(sources: list[str]) -> int:
-    """Run cells as a kernel does, within a loop; return the number of pictures."""
     names: dict[str, object] = {}
     drawn = 0
     for source in sources:

@@ -51,8 +51,6 @@ Planner = Callable[[Camera, Scene, Embedding, float, Conditions], Plan]
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one job."""
-
     seed: int
     tolerance: float
     effects: tuple[str, ...]
@@ -75,7 +73,6 @@ class Result:
 
     @property
     def unjudged(self) -> str:
-        """Why there is no verdict; empty if there is one."""
         if self.refused or self.late:
             return "refused" if self.refused else f"late: {self.late}"
         sure = self.oracle_error <= UNSURE * max(self.predicted, self.true)
@@ -83,7 +80,6 @@ class Result:
 
     @property
     def honest(self) -> bool:
-        """Whether the true error is at most twice the predicted one."""
         return self.true <= 2 * self.predicted
 
     @property
@@ -93,14 +89,12 @@ class Result:
 
     @property
     def reachable(self) -> bool:
-        """Whether full reach gets within the tolerance, or the plan itself does."""
         return self.true <= self.tolerance or self.finest <= self.tolerance
 
 
 def truth(
     job: Job, weights: Array, enough: Callable[[Array], float], *, limit: float = LIMIT
 ) -> tuple[Array, float]:
-    """Exact transfers of masks, and how far they may be off."""
     optics, amplitudes = light(job), shown(job, weights)
     narrow = optics.y.scene_pixel / job.scene.distance <= _POINT
     finer = (optics.affordable(MOST_WORK) or 1.0) / 2
@@ -175,7 +169,6 @@ def _by_more_points(optics: Light, amplitudes: Array, found: list[Array], finer:
 
 
 def _work_of_all(optics: Light, finer: float) -> float:
-    """Samples times waves of a transfer and of the doubts about it."""
     pixels = optics.y.scene_pixels * optics.x.scene_pixels
     once, halves, fourths = (optics.work(finer, times) for times in (1, 2, 4))
     checked = min(2, pixels) * fourths + halves * (1 + 1 / optics.sources) ** 2
@@ -183,7 +176,6 @@ def _work_of_all(optics: Light, finer: float) -> float:
 
 
 def computed(chosen: Plan, weights: Array) -> Array:
-    """The plan's transfers of masks, by whatever method."""
     rows, columns = chosen.model.scene.shape
     points = torch.eye(rows * columns, dtype=chosen.operator.dtype).reshape(-1, rows, columns)
     found = []
@@ -195,7 +187,6 @@ def computed(chosen: Plan, weights: Array) -> Array:
 
 
 def measured(chosen: Plan, weights: Array) -> Array:
-    """What the plan's camera reads of a white scene behind each mask."""
     white = torch.ones(1, *chosen.model.scene.shape, dtype=chosen.operator.dtype)
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -204,13 +195,11 @@ def measured(chosen: Plan, weights: Array) -> Array:
 
 
 def distance(values: Array, exact: Array, size: Array | None = None) -> float:
-    """Relative L2, against the norm of ``size`` or of ``exact``."""
     norm = float(np.linalg.norm(exact if size is None else size))
     return float(np.linalg.norm(values - exact)) / (norm or 1.0)
 
 
 def finest(chosen: Plan) -> Plan:
-    """The plan's model with all interference, many samples and in float64."""
     model = chosen.model
     camera, embedding = model.camera, model.embedding
     rows, columns = camera.mask_shape
@@ -231,7 +220,6 @@ def finest(chosen: Plan) -> Plan:
 
 
 def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
-    """Predicted time over that of the fastest plan of less reach that is accurate enough."""
     reach = chosen.model.sampling.reach
     fewer = {
         Reach(rows, columns)
@@ -250,7 +238,6 @@ def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
 
 
 def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float = LIMIT) -> Result:
-    """One job: its plan, and the truth, unless both take longer than ``limit`` [s]."""
     result = Result(seed, job.tolerance, job.effects, job.unaffordable)
     phase, start = "plan", time.process_time()
     try:
@@ -294,7 +281,6 @@ def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float 
 
 
 def judge(seed: int) -> Result:
-    """The job of one seed."""
     return judge_job(draw(seed), seed=seed)
 
 

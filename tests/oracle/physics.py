@@ -39,8 +39,6 @@ class Beam:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of panel, sensor and scene. Lengths in metres."""
-
     apertures: int
     pitch: float
     open_parts: int
@@ -57,14 +55,11 @@ class Axis:
 
     @property
     def mask(self) -> float:
-        """Length of the mask."""
         return self.apertures * self.pitch
 
 
 @dataclass(frozen=True)
 class Light:
-    """A job: two axes (y, x), the distance from mask to sensor, and the light."""
-
     y: Axis
     x: Axis
     distance: float
@@ -77,7 +72,6 @@ class Light:
     """Points along each side of a scene pixel."""
 
     def finest(self, axis: Axis) -> float:
-        """Longest side of a cell that resolves every wave [m]."""
         wanted = math.inf
         for beam in self.beams:
             image = axis.scene_pixel * self.distance / beam.scene_distance
@@ -90,11 +84,9 @@ class Light:
         return min(wanted, self.distance / 6, axis.sensor / axis.pixels / 8)
 
     def cells(self, axis: Axis, finer: float = 1.0, times: int = 1) -> int:
-        """Cells in a part of the pitch, in ``times`` equal parts."""
         return times * max(1, math.ceil(axis.pitch / axis.parts / self.finest(axis) * finer))
 
     def lengths(self, finer: float = 1.0, times: int = 1) -> tuple[int, int]:
-        """Samples of mask and sensor together along each axis."""
         found = []
         for axis in (self.y, self.x):
             cell = axis.pitch / axis.parts / self.cells(axis, finer, times)
@@ -110,7 +102,6 @@ class Light:
         return length
 
     def work(self, finer: float = 1.0, times: int = 1) -> float:
-        """Samples times waves."""
         rows, columns = self.lengths(finer, times)
         points = self.y.scene_pixels * self.x.scene_pixels * self.sources**2
         return float(rows) * columns * len(self.beams) * points
@@ -164,7 +155,6 @@ def transfer(
 
 
 def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
-    """Points of a scene pixel [m]."""
     y, x = (
         axis.scene_shift
         + (at - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
@@ -257,7 +247,6 @@ def _binned(light: Light, beam: Beam, flux: Array, seen: tuple[Array, Array]) ->
 
 
 def _turned(y: Array | float, x: Array | float, angle: float) -> tuple[Array, Array]:
-    """(y, x) turned by ``angle`` from x towards y."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return y * cosine + x * sine, x * cosine - y * sine  # type: ignore[return-value]
 
@@ -281,7 +270,6 @@ def _trapezoids(axis: Axis, image: float, middle: Array | float, at: Array, widt
 
 
 def _openings(axis: Axis, cells: int) -> Array:
-    """1 in the cells of each aperture, (cells, apertures)."""
     first = (axis.parts - axis.open_parts) * cells // 2
     one = np.zeros(axis.parts * cells)
     one[first : first + axis.open_parts * cells] = 1
@@ -290,7 +278,6 @@ def _openings(axis: Axis, cells: int) -> Array:
 
 
 def _positions(axis: Axis, cell: float) -> Array:
-    """Of the mask's cells [m]."""
     cells = round(axis.pitch / axis.parts / cell)
     # Where the closed part is odd, openings are half a cell too low among their cells.
     late = (axis.parts - axis.open_parts) * cells % 2 * cell / 2

@@ -61,20 +61,17 @@ def transfer(
 
 
 def _holes(axis: Axis, nodes: int) -> Nodes:
-    """Nodes of every aperture of the mask, before it is turned [m]."""
     middles = (np.arange(axis.apertures) - (axis.apertures - 1) / 2) * axis.pitch + axis.shift
     return _nodes(middles, axis.pitch * axis.open_parts / axis.parts, nodes)
 
 
 def _sensor(axis: Axis, nodes: int) -> Nodes:
-    """Nodes of every embedding pixel; weights are shares of a pixel."""
     side = axis.sensor / axis.pixels
     at, weights = _nodes((np.arange(axis.pixels) - (axis.pixels - 1) / 2) * side, side, nodes)
     return at, weights / side
 
 
 def _source(axis: Axis, nodes: int, pixel: int) -> Nodes:
-    """Nodes of a scene pixel; weights are shares of it."""
     middle = (pixel - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
     at, weights = _nodes(np.array([middle]), axis.scene_pixel, nodes)
     return at, weights / axis.scene_pixel

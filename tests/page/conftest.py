@@ -148,7 +148,6 @@ def begin_calibration(page: Page) -> None:
 
 
 def end_calibration(page: Page) -> None:
-    """End it, and wait until the camera is ready."""
     confirm(page, "End it")
     expect(page.get_by_text("The calibration was ended")).to_be_visible()
     expect(page.locator("#state")).to_have_text("Ready")

@@ -46,8 +46,6 @@ FILLER = np.tile(np.linspace(0, 255, SIDE).astype(np.uint8), (SIDE, 1))
 
 
 class Doors:
-    """All three, with one app behind the last."""
-
     def __init__(
         self,
         folder: Path,
@@ -66,7 +64,6 @@ class Doors:
         (folder / "scenes").mkdir()
 
     def __call__(self, door: str, name: str, content: bytes) -> npt.NDArray[np.float64] | str:
-        """Bring a picture in by a door."""
         self.warnings = []
         doors: dict[str, Door] = {"fit": self._fit, "scenes": self._scenes, "rest": self._rest}
         return doors[door](name, content)
@@ -118,7 +115,6 @@ class Doors:
 
 @contextmanager
 def open_doors(folder: Path) -> Iterator[Doors]:
-    """Yield the doors; the app runs in another thread until they close."""
     bundle = folder / "tiny.veilcam"
     write_bundle(bundle, make_bundle())
     scene = folder / "first.png"

@@ -87,8 +87,6 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
 
 @dataclass
 class Findings:
-    """Answers of one daemon."""
-
     statuses: Counter[int] = field(default_factory=Counter)
     defects: list[str] = field(default_factory=list)
     undocumented: list[str] = field(default_factory=list)
@@ -182,7 +180,6 @@ class Fuzz:
     def _complaint(
         self, method: str, path: str | None, answer: requests.Response, content: bytes
     ) -> str | None:
-        """Return what the document does not say of this answer."""
         media_type = answer.headers.get("content-type", "").partition(";")[0]
         if path is None:
             right = answer.status_code in (401, 403, 404, 405, 422)

@@ -105,7 +105,6 @@ def attack(tell: Connection, plan: Attack) -> None:
 
 
 def head(address: Address, method: str, path: str, **headers: object) -> bytes:
-    """Return the bytes of a request up to its body; ``_`` stands for ``-`` in names."""
     told = {"Host": urlsplit(address.url).netloc, **address.headers}
     told |= {name.replace("_", "-"): str(value) for name, value in headers.items()}
     lines = (f"{method} {path} HTTP/1.1", *(f"{name}: {told[name]}" for name in told), "", "")

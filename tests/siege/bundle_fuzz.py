@@ -144,7 +144,6 @@ class Outcome:
 def try_all(
     seeds: Sequence[int], data: Sequence[bytes], work: Path, attempt: Attempt = try_one
 ) -> Outcome:
-    """Try all files; a child that dies or hangs is replaced, and its file counted as a crash."""
     outcome, left = Outcome(), list(seeds)
     while left:
         with child(try_some, left[:BATCH], data, work, attempt) as (_, told):

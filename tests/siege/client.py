@@ -34,7 +34,6 @@ class Reply:
     seconds: float = 0.0
 
     def json(self) -> Any:
-        """Return the decoded body; raises :class:`ConnectionError` where there is no answer."""
         if self.status == 0:
             raise ConnectionError(f"no answer to {self.question} in {self.seconds:.1f} s")
         return json.loads(self.body)

@@ -48,7 +48,6 @@ FORKS.set_forkserver_preload(
 
 @contextmanager
 def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BaseProcess, Connection]]:
-    """Yield a process that runs ``target(connection, *given)``, and the end to hear it; kill it."""
     hear, tell = FORKS.Pipe(duplex=False)
     process = FORKS.Process(target=target, args=(tell, *given))
     process.start()
@@ -63,8 +62,6 @@ def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BasePro
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circumstances:
-    """Surroundings of a daemon."""
-
     log: Path | None = None
     disk: int | None = None
     full: bool = False
@@ -77,8 +74,6 @@ class NoDiskError(StartError):
 
 @dataclass
 class Daemon:
-    """Running daemon; ``state`` and ``log`` are paths as this process sees them."""
-
     address: Address
     state: Path
     log: Path
@@ -168,7 +163,6 @@ def _check(result: int) -> None:
 
 
 def fill(folder: Path) -> Path:
-    """Take all the room that is left on a folder's disk; return the file that takes it."""
     ballast = folder / "ballast"
     for block in (65_536, 64):
         with suppress(OSError), ballast.open("ab", buffering=0) as stream:

@@ -54,7 +54,6 @@ async def full_disk(ground: Ground, judgement: Judgement, *, at_start: bool) -> 
 
 
 async def full_log(ground: Ground, judgement: Judgement) -> None:
-    """Give a log that takes nothing from the start on."""
     settings = ground.settings("full-log")
     [token] = make_tokens(settings, ("owner",))
     with ground.start(settings, token, Circumstances(log=Path("/dev/full"))) as daemon:
@@ -64,7 +63,6 @@ async def full_log(ground: Ground, judgement: Judgement) -> None:
 
 
 async def clock_back(ground: Ground, judgement: Judgement) -> None:
-    """Set the clock back by a year while a daemon runs; start one there; put it right."""
     settings = ground.settings("clock")
     [token] = make_tokens(settings, ("owner",))
     clock = FORKS.Value("d", 0.0)

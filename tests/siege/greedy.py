@@ -29,8 +29,6 @@ EACH, LIFE, MOST_LIVES = 6, 3.0, 30
 
 @dataclass
 class Loot:
-    """Embeddings that left, over all lives."""
-
     epochs: Counter[str] = field(default_factory=Counter)
     masks: Counter[bytes] = field(default_factory=Counter)
     spent: int = 0

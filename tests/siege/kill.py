@@ -169,7 +169,6 @@ async def killed(ground: Ground, judgement: Judgement) -> None:
     witness, kills, copies = Witness(archive), ground.extent.kills, Counter[int]()
 
     async def live(lineage: Lineage, *, last: bool) -> Life:
-        """Start a daemon, compare it, and change everything at once until it is killed."""
         life, settings = Life(), lineage.settings
         with ExitStack() as stack:
             # A start takes seconds, in which the questions to a twin go on.

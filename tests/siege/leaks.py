@@ -42,8 +42,6 @@ _BASE64 = re.compile(rb"[A-Za-z0-9+/_-]{16,}")
 
 
 class Planted:
-    """Secrets, in the forms that they could leave in."""
-
     def __init__(self) -> None:
         self._bytes: dict[bytes, str] = {}
         self._numbers: dict[tuple[str, ...], str] = {}

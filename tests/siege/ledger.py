@@ -21,8 +21,6 @@ ADVANCE, KEY = "/v1/rotation/advance", "Idempotency-Key"
 
 @dataclass
 class Ledger:
-    """Acknowledged changes, over all lives of a daemon."""
-
     policy: list[object]
     active: list[object]
     valid: set[str] = field(default_factory=set)

@@ -21,7 +21,6 @@ HEADERS = 256
 
 
 def renumber(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Other numbers where the headers are."""
     content = bytearray(chance.choice(data))
     for _ in range(chance.choice((1, 1, 2, 8))):
         place, size = chance.randrange(min(len(content), HEADERS)), chance.choice((1, 2, 4))

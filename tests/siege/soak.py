@@ -77,13 +77,10 @@ KNOWN = (DeviceError, FenceError, NotReadyError)
 
 @cache
 def fresh_masks() -> FreshSource:
-    """Return the source of masks of all engines, which takes seconds to build."""
     return FreshSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
 
 
 class CornerLight:
-    """Light of a white scene that carries the mask's first corner, one level to each box."""
-
     def read(self) -> npt.NDArray[np.float32]:
         return np.ones((2, 2), np.float32)
 

@@ -27,8 +27,6 @@ QUIET = 5.0
 
 @dataclass
 class Service:
-    """Replies to honest clients: ``beside`` asks from the attacker's own address."""
-
     neighbour: list[Reply] = field(default_factory=list)
     beside: list[Reply] = field(default_factory=list)
     captures: list[Reply] = field(default_factory=list)

@@ -25,8 +25,6 @@ class Life:
 
 
 class Witness:
-    """Receiver that opens every embedding, and compares it with all that were sealed before."""
-
     def __init__(self, key: ReceiverKey) -> None:
         self._key, self._opener = key, Opener(key)
         self._seen: set[tuple[str, Hashable]] = set()

@@ -115,7 +115,6 @@ class Checks:
         return f"accuracy {self.accuracies}, NumPy {there['numpy']} and {here['numpy']}"
 
     def daemon_is_ready(self) -> str:
-        """With the unit's command line, as its user, and a recording for a camera."""
         (self.root.path / RECORDING).write_bytes(self.recording.read_bytes())
         env = self.root.path / ENV
         text = env.read_text().replace("VEILCAM_BUNDLE=", "#VEILCAM_BUNDLE=")

@@ -25,7 +25,6 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 
 
 def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
-    """Return the archive of a root; made if it is not there."""
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
         part = file.with_suffix(".part.tar")
@@ -97,7 +96,6 @@ class Root:
         raise AssertionError(f"there is no user {user}")
 
     def files(self) -> set[str]:
-        """Return every path, but for what apt and dpkg keep for themselves."""
         found = set()
         for folder, folders, names in os.walk(self.path):
             here = os.path.relpath(folder, self.path)
@@ -106,7 +104,6 @@ class Root:
         return found
 
     def room(self) -> float:
-        """Return what these files take on the disk, each once [MB]."""
         blocks: dict[int, int] = {}
         for name in self.files():
             status = (self.path / name).lstat()

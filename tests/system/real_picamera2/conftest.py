@@ -87,7 +87,6 @@ class Driver:
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Return once it holds."""
     until = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > until:

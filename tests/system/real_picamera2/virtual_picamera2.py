@@ -180,7 +180,6 @@ def _pause(preview: object, request: object) -> None:
 
 @contextmanager
 def instead_of(camera: type[PlainPicamera2]) -> Iterator[None]:
-    """``picamera2.Picamera2`` is ``camera`` for a while."""
     with (
         patch("picamera2.Picamera2", camera),
         patch.object(module, "DmaAllocator", SharedMemory),

@@ -70,7 +70,6 @@ def test_open_area_is_not_floored(oversampling: float) -> None:
 
 
 def test_dim_mask_stays_dim() -> None:
-    """A pattern divided by its own maximum would show the same light."""
     light = GridLight(CAMERA, SCENE, 1)
     mask = weights()
     assert torch.allclose(light.psf(mask / 2), light.psf(mask) / 4, rtol=1e-12)
@@ -86,7 +85,6 @@ def test_weights_at_the_ends_do_not_die() -> None:
 
 
 def test_every_option_of_the_angular_spectrum_does_something() -> None:
-    """An absorbing boundary that absorbs nothing is an option that lies."""
     grid = Grid.square(64, 64, 4e-6)
     field = torch.ones(64, 64, dtype=torch.complex128)
     base = AngularSpectrum().prepare(grid, grid, 20e-3, 550e-9)(field)

@@ -121,7 +121,6 @@ def serve() -> None:
 
 
 def main() -> None:
-    """Do what the first argument says."""
     if sys.argv[1] == "write":
         print(write(SHARED / "bus"))  # noqa: T201
     else:

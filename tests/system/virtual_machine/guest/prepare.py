@@ -14,7 +14,6 @@ SHARED = Path("/run/panel")
 
 
 def main() -> None:
-    """Make everything that a real device has and a virtual machine has not."""
     _make_lines()
     _run("systemctl", "start", "veilcam-spidev.service")
     _wait_for(SPI)

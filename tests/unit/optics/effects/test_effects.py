@@ -185,7 +185,6 @@ ALWAYS = {
 
 @pytest.fixture(scope="module")
 def ordinary() -> dict[str, Assessment]:
-    """What a plan of an ordinary scene says of each effect."""
     return {found.name: found for found in plan(CAMERA, SCENE, EMBEDDING, 1e-2).assessments}
 
 

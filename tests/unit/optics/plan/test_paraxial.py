@@ -44,12 +44,10 @@ def narrow(distance: float, tangent: float = 0.01) -> Scene:
 
 
 def chosen_by(job: Job, method: Method | None = None) -> Plan:
-    """A job's plan."""
     return plan(job.camera, job.scene, job.embedding, job.tolerance, job.conditions, method=method)
 
 
 def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
-    """Predicted and true error of a job's plan."""
     chosen = chosen_by(job, method)
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: chosen.error / 4)

@@ -42,7 +42,6 @@ SOME = Conditions(
 
 @pytest.fixture(scope="module")
 def of_some() -> Plan:
-    """A plan to one in a thousand under many conditions."""
     return plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
 
 
@@ -76,7 +75,6 @@ def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
 
 
 def test_dials_that_are_cheaper_would_not_have_done() -> None:
-    """By hand: every smaller reach is outside the tolerance."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
     fine = chosen.model.with_sampling(reach=Reach(11, 5), step=1e-6, dtype=torch.float64)
     finest = LightOperator(fine)(mask(CAMERA))
@@ -91,7 +89,6 @@ def test_dials_that_are_cheaper_would_not_have_done() -> None:
 
 @pytest.mark.slow
 def test_operator_learns_through_a_plan() -> None:
-    """A mask is fitted to a transfer; the plan's operator passes the gradient."""
     chosen = plan(
         CAMERA,
         SCENE,
@@ -238,7 +235,6 @@ def test_matrices_that_do_not_fit_are_not_formed() -> None:
 
 
 def test_batch_moves_work_to_where_it_is_cheaper() -> None:
-    """One scene behind a mask is not worth a matrix; many are."""
     scene = Scene(60, 60, height=0.06)
     few, many = (plan(CAMERA, scene, Embedding(24, 32), 1e-2, batch=n) for n in (1, 5000))
     assert many.model.sampling.method == "transfer"
@@ -268,7 +264,6 @@ def test_explanation_says_what_was_chosen(of_some: Plan) -> None:
 
 
 def test_costs_count_what_is_computed() -> None:
-    """More of anything costs more, and a matrix is not free."""
     plain = Model(CAMERA, SCENE, EMBEDDING, IDEAL, Sampling(reach=Reach(0, 0)))
     least = cost(plain, 64).step_ms
     for dearer in (

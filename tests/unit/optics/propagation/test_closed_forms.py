@@ -26,7 +26,6 @@ def relative(got: Tensor, wanted: Tensor | np.ndarray) -> float:
 
 
 def box(grid: Grid, half_y: float, half_x: float) -> Tensor:
-    """A rectangular aperture by area."""
 
     def one(count: int, pitch: float, half: float) -> Tensor:
         ends = torch.tensor([half], dtype=torch.float64)

@@ -42,7 +42,6 @@ def brute_force(
     side, fine = scene.pixel_at_sensor(camera), 1.0e-6
 
     def fields(centres: tuple[float, ...], width: float, at: np.ndarray, wl: float) -> np.ndarray:
-        """Field (points, apertures) of one axis."""
         inside = (np.arange(200) + 0.5) / 200 * width - width / 2
         source = np.array(centres)[:, None] + inside
         phase = np.pi / wl * source**2 / scene.distance

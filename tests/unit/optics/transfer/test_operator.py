@@ -31,7 +31,6 @@ EMBEDDING = Embedding(rows=4, columns=5)
 def made(
     camera: Camera = SMALL, embedding: Embedding = EMBEDDING, **options: Any
 ) -> TransferOperator:
-    """The operator of the small scene, in double precision."""
     return TransferOperator(camera, SCENE, embedding, dtype=torch.float64, **options)
 
 
@@ -335,7 +334,6 @@ def test_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> Non
 
 
 def profiles(transfer: Tensor) -> list[Tensor]:
-    """How the light of a transfer is shared out along y, and along x."""
     shared = (transfer / transfer.sum()).reshape(*SCENE.shape, *EMBEDDING.shape)
     return [shared.sum((1, 3)), shared.sum((0, 2))]
 
