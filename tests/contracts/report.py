@@ -59,7 +59,6 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
         "scene_pixel_further_is_an_embedding_pixel_back",
     ),
 }
-"""Closed forms of diffraction theory, and their tests; tolerances stand in these."""
 
 DEFECTS: Mapping[str, tuple[str, ...]] = {
     "odd sizes shifted by a pixel": ("odd_sizes_are_not_shifted_by_a_pixel",),
@@ -89,7 +88,6 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
     "resizing that skips pixels": ("binning_reads_every_pixel",),
     "division by no light": ("opaque_and_fully_open", "zero_in_zero_out"),
 }
-"""Defects found in other optics packages, and the tests that this one does not have them."""
 
 
 def named_tests(path: Path) -> dict[str, str]:

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
@@ -13,10 +14,6 @@ from veilcam_optics.effects.composition import read
 from veilcam_optics.sensor.noise import shot_noise
 
 from .setting import measurement_model
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)

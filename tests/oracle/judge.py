@@ -26,8 +26,7 @@ from .physics import Array, Light, extrapolated, transfer
 UNSURE = 0.3
 """An oracle that is itself this share of the larger of both errors off cannot judge them."""
 
-LIMIT = 8.0
-"""Seconds of the processor that a job may take."""
+LIMIT = 8.0  # [s]
 
 _SURE_WITHIN = 0.8
 """Share of the limit in which an oracle that is unsure of a job tries again."""
@@ -44,7 +43,6 @@ _POINT = 3e-3
 """Angle up to which a scene pixel is a point without a doubt [rad]: 1e-5 of its light."""
 
 _MOST_NODES = 3000
-"""Integration nodes along a side of the finest setting."""
 
 Planner = Callable[[Camera, Scene, Embedding, float, Conditions], Plan]
 

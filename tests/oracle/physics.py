@@ -65,11 +65,9 @@ class Light:
     distance: float
     beams: tuple[Beam, ...]
     rotation: float = 0.0
-    """Of the mask, from x towards y [rad]."""
     shares: Array | None = field(default=None, compare=False)
     """Share of each channel in each embedding pixel, (3, rows, columns), instead of the beams'."""
     sources: int = 1
-    """Points along each side of a scene pixel."""
 
     def finest(self, axis: Axis) -> float:
         wanted = math.inf

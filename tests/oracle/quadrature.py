@@ -15,7 +15,6 @@ import numpy.typing as npt
 from .physics import Array, Axis, Light
 
 Nodes = tuple[Array, Array]
-"""Positions and weights."""
 
 
 def transfer(

@@ -54,7 +54,6 @@ class Doors:
     ) -> None:
         self._folder, self._put, self._held = folder, put, held
         self.warnings: list[str] = []
-        """Of the last picture."""
         self._own = folder / "own"
         for label in "ab":
             (self._own / label).mkdir(parents=True)

@@ -20,7 +20,6 @@ GRAY = (1.0, 0.8, 0.4, 0.0)
 COLOURS = ((255, 255, 255), (255, 0, 0), (0, 255, 0), (0, 0, 0))
 LUMA = (1.0, 0.299, 0.587, 0.0)
 FINE = (1.0, 0.5, 0.5 + 300 / 65535, 0.0)
-"""Two levels that 8 bits do not tell apart."""
 
 Pixels = npt.NDArray[Any]
 

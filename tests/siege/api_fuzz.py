@@ -53,14 +53,11 @@ EVENTS, LISTENED = 2048, 0.5
 RAW_BUDGET = 200
 """Embeddings that may leave raw behind one mask: so few that all masks are spent on the way."""
 BUNDLE_BYTES = 1_000_000
-"""Size above which files of a state directory are bundles."""
 TAKING = ("/v1/captures", "/v1/classifications")
-"""Routes whose answers hold embeddings."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
 EXPECTED = {200, 201, 401, 403, 404, 405, 422}
 """Statuses without which too little was asked."""
 DRAWN = "drawn-keys"
-"""File with the keys of a daemon's epochs."""
 
 # Made-up bytes, as for every file.
 schemathesis.serializer.alias([BUNDLE_MEDIA_TYPE, NPY_MEDIA_TYPE], "application/octet-stream")

@@ -20,10 +20,8 @@ Kind = Literal["silent", "headers", "body", "half handshake"]
 """Habit of a socket: nothing, a header or body byte by byte, or half of a TLS handshake."""
 INTERVALS = (0.5, 3.0, 4.5, 9.0)
 """Times between two bytes [s], drawn for each connection: common deadlines, and just under them."""
-AGAIN = 1.0
-"""Pause before a dropped socket is opened anew [s]."""
-BODY = 1_000_000
-"""Length that a body claims to have [bytes]."""
+AGAIN = 1.0  # [s]
+BODY = 1_000_000  # [bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,6 @@ import httpx
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 ATTACKER, NEIGHBOUR = "127.0.0.1", "127.0.0.2"
-"""Addresses that requests come from."""
 PATIENCE = 60.0
 """Longest wait for an answer [s]: a busy machine is no daemon that hangs."""
 

@@ -29,10 +29,8 @@ from veilcam_client.wire.rotation import EverySeconds
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 
-CALIBRATION = 300.0
-"""Longest wait for a calibration [s]."""
+CALIBRATION = 300.0  # [s]
 COPY = ".copy"
-"""End of the name of a state file's second copy."""
 SET = EverySeconds(seconds=0.3)
 """Policy that is set over the API: not the one that the daemon is started with."""
 BUDGET, MOST = 1, 50

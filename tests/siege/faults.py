@@ -18,8 +18,7 @@ from tests.siege.ground import (
 
 from veilcam_server.errors import StartError
 
-ROOM = 2 << 20
-"""Free room on a disk before it is filled [bytes]."""
+ROOM = 2 << 20  # [bytes]
 BACK = 90.0
 """Longest way back to ``ready`` once a cause is gone [s]: growing pauses end at a minute."""
 FAULTS = "/v1/simulation/faults"

@@ -30,7 +30,6 @@ UNHINDERED = {"rate_limit": 1e6, "rate_burst": 1_000_000, "queue_limit": 64}
 SPARE = 32
 """Event streams that may be open beyond those of honest clients."""
 SHOWN = 20
-"""Most findings that a judgement names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +42,6 @@ class Extent:
     streams: int = 200
     clients: int = 64
     flips: int = 20
-    """Bytes flipped in each state file, one at a time."""
     starts: int = 300
     """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
@@ -57,13 +55,9 @@ class Extent:
     """Whether callers of each scope send them, to daemons of each form of release, with the demo's
     bundles and with a sensor that sees nothing."""
     files: int = 10_000
-    """Mutated bundles."""
     live: int = 1000
-    """Mutated bundles that are sent to a daemon, too."""
     pictures: int = 2000
-    """Mutated pictures."""
     captures: int = 20_000
-    """Captures on hardware that fails."""
 
 
 QUICK = Extent(

@@ -31,12 +31,10 @@ from veilcam_server.settings import Settings
 
 CALIBRATED, REVOKED, LABELLED = 0.25, 0.5, 0.5
 """Shares of lives with a calibration, of tokens that are revoked, of embeddings with a label."""
-LONGEST = 0.6
-"""Longest life of a daemon after it listens [s]."""
+LONGEST = 0.6  # [s]
 ROUND, COPIED, RESTORED, CLONED = 4, 0, 1, 2
 """Length of a round of lives, and the lives whose state is copied, put back, or cloned."""
 GUESTS = 3
-"""Receivers that come and go, beside the one that always opens."""
 
 
 @dataclass

@@ -16,8 +16,7 @@ from tests.pictures.samples import Sample, levels, make_samples
 from tests.siege.ground import Ground, Judgement
 from tests.siege.mutations import cut, flip, splice
 
-HEADERS = 256
-"""Length of the beginning of a picture that its headers are in [bytes]."""
+HEADERS = 256  # [bytes]
 
 
 def renumber(chance: random.Random, data: Sequence[bytes]) -> bytes:

@@ -59,19 +59,15 @@ from veilcam_server.sealing.identity import DeviceKey
 
 CAMERA, EMBEDDING = Camera(), Embedding(8, 8)
 DIGEST = "0f" * 32
-"""Digest of a bundle that comes from no file."""
 MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
 CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
 SETTLE, TIMEOUT = 1e-3, 0.05
 """Time that the engine grants the crystal, and its longest wait for a frame [s]."""
 FORMS: tuple[Release, ...] = ("sealed", "white")
-"""Forms of release, of one engine after the other."""
 WARM_UP = 0.2
 """Share of the captures after which memory must have stopped growing."""
-GROWTH = 20.0
-"""Most growth of memory after that [MB]."""
+GROWTH = 20.0  # [MB]
 FAULTS = 0.1
-"""Share of captures that meet a fault."""
 KNOWN = (DeviceError, FenceError, NotReadyError)
 
 

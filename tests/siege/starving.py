@@ -18,11 +18,8 @@ from tests.siege.ground import Ground, Judgement, make_tokens, second_bundle
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 SPREAD = tuple(f"127.0.0.{host}" for host in range(3, 35))
-"""Addresses of an attacker who has several."""
 OTHER_KEYS = 200
-"""Idempotency keys between one and its repetition."""
-QUIET = 5.0
-"""Longest measurement without an attack [s]."""
+QUIET = 5.0  # [s]
 
 
 @dataclass

@@ -12,7 +12,6 @@ from pathlib import Path
 
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = ("systemd", "udev", "python3-numpy", "python3-spidev")
-"""What apt has to bring, as the package depends on it."""
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 DEVICES = {"null": (1, 3), "zero": (1, 5), "full": (1, 7), "random": (1, 8), "urandom": (1, 9)}
 ENVIRONMENT: Mapping[str, str] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,7 +33,8 @@ def bare(pitch: float, aperture: float) -> Panel:
     )
 
 
-def relative(value: Tensor, reference: Tensor) -> float:
+def relative(value: Tensor, reference: Tensor | np.ndarray) -> float:
+    reference = torch.as_tensor(reference)
     return float((value - reference).norm() / reference.norm())
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from scipy.special import fresnel
+from tests.unit.optics.tensors import relative
 from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
@@ -20,13 +21,7 @@ Field = npt.NDArray[np.complex128]
 WAVELENGTH = 550e-9
 
 
-def relative(got: Tensor, wanted: Tensor | np.ndarray) -> float:
-    wanted = torch.as_tensor(wanted)
-    return float((got - wanted).norm() / wanted.norm())
-
-
 def box(grid: Grid, half_y: float, half_x: float) -> Tensor:
-
     def one(count: int, pitch: float, half: float) -> Tensor:
         ends = torch.tensor([half], dtype=torch.float64)
         return coverage(-ends, ends, count, pitch)[0]
