@@ -27,6 +27,7 @@ from benchmarks.accuracy.measure import (
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 from benchmarks.accuracy.transfer_job import TransferJob
 from benchmarks.peers import accuracy
+from tests.unit.optics.propagation.test_closed_forms import RAYLEIGH, WAVELENGTH, gaussian
 from tests.unit.optics.tensors import mask, relative
 from torch import Tensor
 from typer.testing import CliRunner
@@ -106,7 +107,6 @@ def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
 
 @pytest.mark.thorough
 def test_algorithm_of_the_paper_is_one_of_the_methods(transfer: tuple[Job, Tensor]) -> None:
-    """It skips pixels between its samples, and knows the PSF on the sensor alone."""
     job, truth = transfer
     errors = {
         s.dials["resampling"]: measure(s, truth, least=1, budget=1e-9).error
@@ -164,17 +164,6 @@ def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
 
 
-WAVELENGTH, WAIST = 550e-9, 20e-6
-RAYLEIGH = math.pi * WAIST**2 / WAVELENGTH
-
-
-def gaussian(grid: Grid, z: float) -> torch.Tensor:
-    """Waist, curvature and Gouy phase of a beam (Siegman, Lasers, chapter 17)."""
-    squared = grid.y().square()[:, None] + grid.x().square()
-    q = 1 + 1j * z / RAYLEIGH
-    return torch.exp(-squared / (WAIST**2 * q)) / q
-
-
 @pytest.mark.parametrize(
     ("method", "rayleigh_ranges"),
     [
@@ -196,7 +185,7 @@ def test_gaussian_beam_arrives_as_its_closed_form(
     assert method.supports(source, target, distance, WAVELENGTH)
     got = method.prepare(source, target, distance, WAVELENGTH)(gaussian(source, 0))
     wanted = gaussian(target, distance)
-    assert float((got - wanted).norm() / wanted.norm()) < 3e-3
+    assert relative(got, wanted) < 3e-3
 
 
 def test_shadow_is_magnified_from_its_point_whatever_the_phase() -> None:

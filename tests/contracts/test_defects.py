@@ -51,7 +51,6 @@ def modules() -> list[Path]:
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: path.stem)
 def test_no_function_swallows_a_misspelt_option(path: Path) -> None:
-    """No ``**kwargs`` anywhere in the package."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             assert node.args.kwarg is None, f"line {node.lineno}"
@@ -169,7 +168,6 @@ def test_every_option_of_the_other_paths_does_something() -> None:
 
 
 def test_secrets_stay_out_of_refusals() -> None:
-    """Messages tell shapes and counts, never a weight."""
     weights = mask(CAMERA)
     weights[0, 0] = float("nan")
     for wrong in (weights, mask(CAMERA).mT):

@@ -119,7 +119,6 @@ def test_energy_of_the_field(source_distance: float) -> None:
 
 
 def bench(**panel: float) -> Camera:
-    """Six rows and two columns of sub-pixels before a wide sensor, without colour filters."""
     return Camera(
         panel=replace(Panel(filter_cycle=()), **panel),  # type: ignore[arg-type]
         window=Window(rows=6, columns=2),

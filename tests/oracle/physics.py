@@ -92,7 +92,6 @@ class Light:
         return found[0], found[1]
 
     def seen(self, axis: Axis) -> float:
-        """Length of the plane that light is wanted on: the sensor, and a scene pixel's image."""
         image = max(axis.scene_pixel * self.distance / b.scene_distance for b in self.beams)
         length = axis.sensor + image
         if self.rotation:
@@ -181,7 +180,6 @@ def _flux(
     point: tuple[float, float],
     planes: tuple[tuple[Array, Array], tuple[Array, Array]],
 ) -> Array:
-    """Flux at the points ``seen`` of the mask's own frame, (masks, rows, columns)."""
     k = 2 * math.pi / beam.wavelength
     at, seen = planes
     # The mask's own frame: everything else is turned the other way.

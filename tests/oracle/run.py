@@ -76,7 +76,6 @@ def draw_chart(results: Sequence[Result], path: Path) -> None:
 
 
 def kept(path: Path) -> dict[int, Result]:
-    """Results that are there already, by seed; a line that was cut off is done again."""
     found = {}
     for line in path.read_text().splitlines() if path.exists() else []:
         try:

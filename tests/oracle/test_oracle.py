@@ -161,7 +161,6 @@ def _ordinary() -> Job:
 
 
 def test_lying_planner_is_caught() -> None:
-    """The cheapest plan as the most accurate one: neither honest, nor has it reached anything."""
 
     def boast(
         camera: Camera, scene: Scene, embedding: Embedding, tolerance: float, conditions: Conditions

@@ -58,8 +58,6 @@ def free_port() -> int:
 
 @dataclass
 class Daemon:
-    """A simulated camera that looks by itself, and wants tokens."""
-
     folder: Path
     port: int = field(default_factory=free_port)
     _started: ExitStack = field(default_factory=ExitStack)
@@ -136,7 +134,6 @@ def log_in(page: Page, token: str) -> None:
 
 
 def confirm(page: Page, asked: str, answer: str | None = None) -> None:
-    """Press a button that asks again, and say what a person says to that."""
     page.get_by_role("button", name=asked).click()
     page.get_by_role("dialog").get_by_role("button", name=answer or asked).click()
 
@@ -154,7 +151,6 @@ def end_calibration(page: Page) -> None:
 
 
 def listening(page: Page) -> None:
-    """Wait until a page shows what there is, and is told of all that happens from then on."""
     expect(page.locator("h1")).to_be_visible()
     expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
 

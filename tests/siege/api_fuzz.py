@@ -131,7 +131,6 @@ class Fuzz:
                         self.send(name, method, None, url=url)
 
     def _come_and_go(self, name: str, bundle: bytes | None) -> None:
-        """Pair a receiver twice, look for it, and remove it twice; upload and use a bundle."""
         guest = ReceiverKey.generate().public
         question, path = {"label": "guest", "key": str(guest)}, "/v1/receivers"
         self.send(name, "POST", path, json=question)

@@ -98,7 +98,6 @@ async def _faults(
 
 
 async def _first_life(address: Address, settings: Settings) -> tuple[dict[str, object], list[str]]:
-    """Let a daemon have everything that it can remember; return that, and the epochs shown."""
     digest = (await address.upload(second_bundle(settings))).json()["digest"]
     await pair(address, "archive", ReceiverKey.generate().public)
     await _spend(address)
@@ -138,7 +137,6 @@ async def _kept(address: Address) -> dict[str, object]:
 
 
 def all_trials(state: Path, flips: int) -> Iterator[Trial]:
-    """Yield every way to damage every file alone, and a file together with its copy."""
     yield "nothing damaged", (), lambda content: content
     files = [path.relative_to(state) for path in sorted(state.rglob("*")) if path.is_file()]
     for path in files:
@@ -152,7 +150,6 @@ def all_trials(state: Path, flips: int) -> Iterator[Trial]:
 
 
 def sample(trials: list[Trial], extent: Extent) -> list[Trial]:
-    """Return the first trial, which damages nothing, and as many others as there is time for."""
     others = random.Random(0).sample(trials[1:], min(extent.starts, len(trials)) - 1)
     return [trials[0], *others]
 

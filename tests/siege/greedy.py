@@ -52,7 +52,6 @@ class Loot:
 
 
 async def greedy(ground: Ground, judgement: Judgement) -> None:
-    """Race for white embeddings of fresh masks, then for raw ones of stored masks."""
     lives = max(3, int(ground.extent.seconds / 6))
     given = {"snr_db": math.inf, **UNHINDERED}
     fresh = written(ground.folder / "greedy.veilcam", fresh_bundle())

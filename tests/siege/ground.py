@@ -151,14 +151,12 @@ class Ground:
         around: Circumstances | None = None,
         serve: str | None = None,
     ) -> Iterator[Daemon]:
-        """Yield a daemon that listens, addressed with ``token``; raises :class:`StartError`."""
         with started(serve or self.serve, settings, around or Circumstances()) as daemon:
             daemon.address = daemon.address.with_token(token)
             yield daemon
 
     @cached_property
     def shared(self) -> tuple[Settings, Daemon]:
-        """Daemon of all rows that change neither its settings nor its surroundings."""
         settings = self.settings("shared", stream_limit=self.extent.streams + SPARE)
         return settings, self.stack.enter_context(self.start(settings))
 

@@ -98,7 +98,6 @@ class Changes:
                 self.ledger.revoked.add(name)
 
     async def make_token_by_hand(self) -> None:
-        """Make a token as ``veilcamd token create`` does, beside the daemon."""
         settings = self.lineage.settings
         making = asyncio.to_thread(make_tokens, settings, ("by hand",), ("classify",))
         task = asyncio.create_task(making)

@@ -141,7 +141,6 @@ def _numbers(content: bytes) -> list[str]:
 
 
 def _forms(content: bytes) -> Iterator[bytes]:
-    """Yield the content itself, and whatever could be written in it as text."""
     yield content
     for match in _HEX.findall(content):
         for start in (0, 1):

@@ -67,7 +67,6 @@ class Ledger:
     def _compared(
         self, what: str, known: dict[str, bool | None], there: set[Any]
     ) -> dict[str, bool | None]:
-        """Return the presence of things that were there, were not, or may have been either."""
         for name, was_there in known.items():
             self._keep(what, was_there in (None, name in there))
         return {name: name in there for name in known}

@@ -26,7 +26,6 @@ def unpack(data: bytes) -> Parts:
 
 
 def pack(parts: Parts, compression: int = zipfile.ZIP_DEFLATED) -> bytes:
-    """Return an archive with these parts, and their digests where the manifest has a place."""
     try:
         manifest = json.loads(parts["bundle.json"])
         for name in manifest["parts"]:

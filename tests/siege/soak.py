@@ -224,7 +224,6 @@ class Outcome:
             captured.done()
 
     def _judge(self, captured: Captured, opener: Opener) -> None:
-        """Answer as a request would, and compare what leaves with the mask."""
         assert isinstance(captured, MaskedCapture)
         self.captures += 1
         self.epochs.append(captured.epoch)

@@ -168,7 +168,6 @@ async def stalled_upload(ground: Ground, judgement: Judgement) -> None:
 
 
 async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
-    """Repeat a key after others of the same and of another caller, and after a restart."""
     settings = ground.settings("keys")
     one, two = make_tokens(settings, ("one", "two"))
     key = {"Idempotency-Key": str(uuid.uuid4())}

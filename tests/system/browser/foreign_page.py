@@ -40,7 +40,6 @@ class Watched:
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
-        """All that a request could change: mask, policy, bundles, lease, receivers, tokens, log."""
         with httpx.Client(
             base_url=self.url, headers=self.headers, trust_env=False, timeout=LONGEST_ANSWER
         ) as client:

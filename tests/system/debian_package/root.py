@@ -43,8 +43,6 @@ def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] 
 
 @dataclass(frozen=True)
 class Root:
-    """A machine as far as its files go; commands in it have no network."""
-
     path: Path
     environment: Mapping[str, str] = field(default_factory=lambda: ENVIRONMENT)
 

@@ -69,7 +69,6 @@ class Supervisor:
         return f"unix://{self._root.path / SOCKET}"
 
     def restart(self) -> None:
-        """As ``systemctl restart``: the program is ended, and started without a pause."""
         self.ready_at.clear()
         self._end()
 
@@ -98,7 +97,6 @@ class Supervisor:
                 self._paused += pause
 
     def _once(self) -> bool:
-        """Start it, and wait for its end; return whether it was asked to end."""
         self._beside("ExecStartPre")
         current = self._root.path / "var/lib/veilcam-release/current"
         self.starts.append(current.readlink().name)

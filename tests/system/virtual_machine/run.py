@@ -51,8 +51,6 @@ class Result:
 
 @dataclass(frozen=True)
 class Machine:
-    """An emulated one, whose serial ports ttyS1 to ttyS3 are there for the checks."""
-
     emulator: str
     package: str
     kernel: str

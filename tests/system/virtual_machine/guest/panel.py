@@ -85,7 +85,6 @@ def shown(passed: list[Byte], tab: str = "green") -> PanelEmulator:
 
 
 def write(log: Path) -> str:
-    """Show masks under every tab and compare all bytes; return what was compared."""
     camera, random = Camera(), np.random.default_rng(5)
     compared = 0
     for name, tab in TABS.items():
@@ -109,7 +108,6 @@ def write(log: Path) -> str:
 
 
 def serve() -> None:
-    """Run the daemon with a panel on the bus beside the emulated one."""
     from veilcam_server.cli import main as cli
 
     def on_both(spi: PanelEmulator, _: object, **more: object) -> ST7735R:

@@ -24,14 +24,10 @@ SCENE, EMBEDDING = Scene(3, 4, height=0.06), Embedding(4, 5)
 
 @dataclass(frozen=True)
 class Aged(Conditions):
-    """Conditions with a number of their own."""
-
     yellowing: float = 0.0
 
 
 class Yellowing(Effect):
-    """At every stage that an effect may have, by a factor of its own."""
-
     name = "yellowing"
     absent = "as new"
     neutral = MappingProxyType({"yellowing": 0.0})

@@ -149,7 +149,6 @@ def test_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
 
 @pytest.mark.parametrize("embedding", [Embedding(3, 4), Embedding(3, 7), Embedding(3, 20)])
 def test_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -> None:
-    """Its offsets are among the others', and their light is the same."""
     model = Model(small(), Scene(6, 5, height=0.02), embedding, PARAXIAL)
     model = model.with_sampling(reach=Reach(2, 1), step=1e-6)
     whole = Probe(model)

@@ -49,7 +49,6 @@ def of_some() -> Plan:
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-3, 3e-4])
 @pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
-    """Against direct integration of the whole field, for masks that the plan has not seen."""
     camera = replace(CAMERA, panel=panel)
     chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
     masks = [mask(camera, seed) for seed in (11, 12)]
@@ -240,9 +239,6 @@ def test_batch_moves_work_to_where_it_is_cheaper() -> None:
     assert many.model.sampling.method == "transfer"
     assert few.cost.step_ms < many.cost.step_ms
     assert few.model.sampling.method == "factors"
-
-
-def test_batch_of_none_is_named() -> None:
     with pytest.raises(OpticsError, match="batch = 0"):
         plan(CAMERA, SCENE, EMBEDDING, 1e-2, batch=0)
 
@@ -304,7 +300,6 @@ def test_command_refuses_bad_input(arguments: list[str], message: str) -> None:
 
 
 def test_plan_holds_no_mask() -> None:
-    """A mask is a secret: it is not in what a plan prints of itself."""
     chosen: Plan = plan(CAMERA, SCENE, EMBEDDING, 1e-1)
     chosen.embed(torch.ones(1, 5, 4), mask(CAMERA))
     assert "tensor(" not in repr(chosen)
@@ -341,7 +336,6 @@ def test_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
 
 
 def _open(centres: tuple[float, ...], width: float, side: float) -> float:
-    """Share of a line of length ``side`` around the axis that is open."""
     ends = [
         (max(-side / 2, centre - width / 2), min(side / 2, centre + width / 2))
         for centre in centres

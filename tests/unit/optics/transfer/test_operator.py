@@ -158,7 +158,6 @@ def test_scene_is_seen_inverted() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (3, 4)])
 def test_odd_even_and_single_pixels(shape: tuple[int, int]) -> None:
-    """However the sensor is cut, the pixels' mean is the same light."""
     weights = mask(SMALL)
     whole = made(SMALL, Embedding(1, 1))(weights)
     cut = made(SMALL, Embedding(*shape))(weights)
@@ -388,7 +387,6 @@ def test_operator_counts_pairs_by_default() -> None:
 
 
 def test_buffers_move_with_the_operator() -> None:
-    """As a module of torch: a type or device that is asked for reaches all of it."""
     operator = TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(3, 1))
     names = {name.partition("_")[0] for name, _ in operator.named_buffers()}
     assert names == {"first", "second", "columns", "rows"}
