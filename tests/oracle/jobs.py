@@ -54,7 +54,6 @@ class Job:
     """Equal parts of the pitch, and how many in the middle are open, along y and x."""
     effects: tuple[str, ...] = ()
     unaffordable: int = 0
-    """Draws before this one that the oracle could not afford."""
 
     @property
     def measured(self) -> bool:

@@ -60,7 +60,6 @@ class Result:
     """Of scene pixels in the corner and in the middle: what cells half as wide and smaller change,
     by how much more they change elsewhere, and what more points in them do; relative L2."""
     finest: float = math.nan
-    """True error with all interference, where the plan reaches nothing."""
     time_over_best: float = 1.0
     """Predicted time over that of the fastest setting of less reach whose true error will do."""
     method: str = ""

@@ -49,9 +49,7 @@ class Axis:
     scene_pixels: int
     scene_pixel: float
     shift: float = 0.0
-    """Of the mask's middle from the sensor's."""
     scene_shift: float = 0.0
-    """Of the scene's middle from the sensor's."""
 
     @property
     def mask(self) -> float:

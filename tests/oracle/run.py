@@ -24,7 +24,6 @@ from benchmarks.figures import FiguresOption, check_record, record
 from .judge import Result, judge
 
 LEAST_ERROR = 1e-7
-"""Smaller ones are rounding: they are drawn and divided by as this."""
 
 
 def figures_of(results: Sequence[Result]) -> dict[str, float]:

@@ -43,7 +43,6 @@ AXE = files("axe_playwright_python").joinpath("axe.min.js").read_text()
 WIDE: ViewportSize = {"width": 1200, "height": 900}
 PHONE: ViewportSize = {"width": 360, "height": 740}
 
-
 PORTS = range(16_384, 32_768)
 """Below those that a system gives to whoever asks for any: no connection has one of these, so that
 nothing takes the daemon's while it is down."""

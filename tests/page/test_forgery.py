@@ -60,7 +60,6 @@ async ({url, half}) => {
 }
 """
 
-
 Server = tuple[str, list[str]]
 
 

@@ -33,15 +33,8 @@ Door: TypeAlias = Callable[[str, bytes], "npt.NDArray[np.float64] | str"]
 What it warns of goes to ``warnings`` of :class:`Doors`.
 """
 DOORS = ("fit", "scenes", "rest")
-MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".webp": "image/webp",
-    ".bmp": "image/bmp",
-    ".gif": "image/gif",
-    ".tif": "image/tiff",
-    ".tiff": "image/tiff",
-}
+MEDIA_TYPES = {f".{kind}": f"image/{kind}" for kind in ("png", "webp", "bmp", "gif", "tiff")}
+MEDIA_TYPES |= {".jpg": "image/jpeg", ".tif": "image/tiff"}
 FILLER = np.tile(np.linspace(0, 255, SIDE).astype(np.uint8), (SIDE, 1))
 
 

@@ -48,8 +48,7 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import read_bundle
 
-EVENTS, LISTENED = 2048, 0.5
-"""Longest part of an event stream that is read [bytes, s]."""
+EVENTS, LISTENED = 2048, 0.5  # [bytes, s] of a stream that are read
 RAW_BUDGET = 200
 """Embeddings that may leave raw behind one mask: so few that all masks are spent on the way."""
 BUNDLE_BYTES = 1_000_000

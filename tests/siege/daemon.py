@@ -31,7 +31,6 @@ from veilcam_server.settings import Settings
 from veilcam_server.system import logs
 
 FILES = 1024
-"""Files that a process may open unless it asks for more: the soft limit of Debian."""
 START_LIMIT = 300.0
 """Longest wait for a daemon to listen [s]: ten of work, on a machine that has others to do."""
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x0002_0000, 0x1000_0000

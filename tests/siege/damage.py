@@ -39,7 +39,6 @@ BUDGET, MOST = 1, 50
 Trial: TypeAlias = tuple[str, tuple[Path, ...], Callable[[bytes], bytes]]
 """Name, paths in the state directory, and damage to their content."""
 
-
 BARS = {
     "starts refused": "starts_refused",
     "silent roll-backs": "silent_rollbacks",

@@ -20,7 +20,6 @@ from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_server.settings import Settings
 
 WHITE, RAW = 1, 4
-"""Budgets: embeddings that may leave behind one mask."""
 RACERS = 4
 EACH, LIFE, MOST_LIVES = 6, 3.0, 30
 """Most embeddings of a daemon's life, its longest time [s], and lives until all masks are spent."""

@@ -35,18 +35,15 @@ SHOWN = 20
 @dataclass(frozen=True, slots=True)
 class Extent:
     sockets: int = 2000
-    seconds: float = 60.0
-    """Length of an attack [s]."""
+    seconds: float = 60.0  # [s]
     lingering: float = 30.0
     """Time in which every socket that dribbles must be dropped [s]."""
     streams: int = 200
     clients: int = 64
     flips: int = 20
     starts: int = 300
-    """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
-    gone: float = 60.0
-    """Time for which camera and panel are unplugged [s]."""
+    gone: float = 60.0  # [s]
     examples: int = 6
     """Made-up requests of each kind, operation and caller."""
     more: int = 5
@@ -70,7 +67,6 @@ QUICK = Extent(
     pictures=50,
     captures=60,
 )
-"""Shows that an attack is met; the bars are those of the long form."""
 
 
 @dataclass
@@ -163,7 +159,6 @@ class Ground:
 
 Run: TypeAlias = Callable[[Ground, Judgement], Awaitable[None]]
 Work: TypeAlias = Callable[[], Awaitable[None]]
-"""One step of a client, which is repeated."""
 
 
 @asynccontextmanager

@@ -34,7 +34,6 @@ DISTINCT = 5
 NUMBERS = 3
 """Weights in a row, to five digits, that are a leak."""
 DECODERS = 3
-"""Epochs whose decoders are searched, which are large; the masks of all are."""
 
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _HEX = re.compile(rb"[0-9a-fA-F]{24,}")

@@ -36,7 +36,6 @@ class Supervisor:
         self._limit = patience * float(self._unit["TimeoutStartSec"][0])
         self._who = root.identity("veilcam")
         self.starts: list[str] = []
-        """Releases, one for each start."""
         self.ready_at = threading.Event()
         self._paused = 0.0
         self._stop = threading.Event()

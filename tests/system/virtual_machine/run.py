@@ -37,7 +37,6 @@ BUILD = ROOT / "build" / "virtual-machine"
 TOOLS = {"mmdebstrap": "mmdebstrap", "mke2fs": "e2fsprogs", "cpio": "cpio", "xz": "xz-utils"}
 FOREIGN_TOOLS = {"arch-test": "arch-test"}
 EXPECTED = 14
-"""Checks; a machine that makes fewer has died on the way."""
 
 console = Console(highlight=False)
 

@@ -26,7 +26,6 @@ SPEED = 15_000_000
 MASKS = 20
 
 Byte = tuple[bool, int]
-"""D/C and eight bits, as the panel sees them."""
 
 
 class Both:

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 LABEL = "pinctrl-rp1"
-"""Of the GPIO chip of a Raspberry Pi 5."""
 DATA, RESET = 24, 25
 SPI = Path("/dev/spidev0.0")
 SHARED = Path("/run/panel")
