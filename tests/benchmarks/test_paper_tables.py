@@ -176,7 +176,7 @@ def test_report_says_what_the_cells_found(tmp_path: Path) -> None:
     assert "mnist &lt;here&gt;" in page
     pictures = re.findall(r"\]\(pictures/(\w+)\.png\)", markdown)
     assert set(pictures) == {
-        *("cost", "curves", "psfs", "embeddings", "confusion_LR", "confusion_CNN16"),
+        *("cost", "curves", "psfs", "embeddings", "confusion_LR", "confusion_CNN16")
     }
     assert len(re.findall(r'src="data:image/png;base64,', page)) == page.count("src=") == 6
 

@@ -68,9 +68,7 @@ def test_scripts_are_sh_and_stop_at_what_fails(name: str) -> None:
     subprocess.run(["sh", "-n", str(path)], check=True)
 
 
-def test_each_python_package_is_listed_once_and_must_have_a_licence(
-    release: Path,
-) -> None:
+def test_each_python_package_is_listed_once_and_must_have_a_licence(release: Path) -> None:
     bill = json.loads(json.dumps(build.bill_of_materials(release, "1.2.3")))
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
     told = {each["purl"]: each["licenses"][0]["license"]["name"] for each in bill["components"]}

@@ -110,12 +110,7 @@ class Rig:
     """Engine on hardware that fails when told; ``tell`` gets every mask before it is shown."""
 
     def __init__(
-        self,
-        directory: Path,
-        receiver: Receiver,
-        *,
-        tell: Callable[[Levels], None],
-        form: Release,
+        self, directory: Path, receiver: Receiver, *, tell: Callable[[Levels], None], form: Release
     ) -> None:
         self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
         # Random faults come in a row, too, and nobody waits here for another attempt.
