@@ -84,7 +84,7 @@ def _light_mask(setting: Setting) -> Bound:
     return Bound(apply, setting.mask_shape, (2, *setting.embedding().shape))
 
 
-def _measurement(setting: Setting, full_well: float, adc_bits: int | None = None) -> Bound:
+def _measurement(setting: Setting, full_well: float, adc_bits: int = 0) -> Bound:
     conditions = Conditions(electrons=1e4, full_well=full_well, adc_bits=adc_bits, black_level=0.02)
     model = measurement_model(conditions, shot=False)
     shape = setting.embedding().shape
