@@ -25,5 +25,4 @@ __all__ = [
 
 
 def figures_of(path: Path) -> dict[str, Any]:
-    """Return the values of a record by name."""
     return {name: entry["value"] for name, entry in json.loads(path.read_text()).items()}

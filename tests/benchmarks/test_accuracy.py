@@ -27,6 +27,8 @@ from benchmarks.accuracy.measure import (
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 from benchmarks.accuracy.transfer_job import TransferJob
 from benchmarks.peers import accuracy
+from tests.unit.optics.propagation.test_closed_forms import RAYLEIGH, WAVELENGTH, gaussian
+from tests.unit.optics.tensors import mask, relative
 from torch import Tensor
 from typer.testing import CliRunner
 
@@ -105,7 +107,6 @@ def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
 
 @pytest.mark.thorough
 def test_algorithm_of_the_paper_is_one_of_the_methods(transfer: tuple[Job, Tensor]) -> None:
-    """It skips pixels between its samples, and knows the PSF on the sensor alone."""
     job, truth = transfer
     errors = {
         s.dials["resampling"]: measure(s, truth, least=1, budget=1e-9).error
@@ -163,17 +164,6 @@ def test_waveprop_sees_the_same_scene_as_we_do() -> None:
     assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
 
 
-WAVELENGTH, WAIST = 550e-9, 20e-6
-RAYLEIGH = math.pi * WAIST**2 / WAVELENGTH
-
-
-def gaussian(grid: Grid, z: float) -> torch.Tensor:
-    """Waist, curvature and Gouy phase of a beam (Siegman, Lasers, chapter 17)."""
-    squared = grid.y().square()[:, None] + grid.x().square()
-    q = 1 + 1j * z / RAYLEIGH
-    return torch.exp(-squared / (WAIST**2 * q)) / q
-
-
 @pytest.mark.parametrize(
     ("method", "rayleigh_ranges"),
     [
@@ -195,7 +185,7 @@ def test_gaussian_beam_arrives_as_its_closed_form(
     assert method.supports(source, target, distance, WAVELENGTH)
     got = method.prepare(source, target, distance, WAVELENGTH)(gaussian(source, 0))
     wanted = gaussian(target, distance)
-    assert float((got - wanted).norm() / wanted.norm()) < 3e-3
+    assert relative(got, wanted) < 3e-3
 
 
 def test_shadow_is_magnified_from_its_point_whatever_the_phase() -> None:
@@ -213,17 +203,8 @@ EMBEDDING = Embedding(12, 16)
 SMALL = Camera(window=Window(25, 11, 180, 74), sensor=Sensor(1520, 2028), distance=2e-3)
 
 
-def weights(camera: Camera, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 def pictures(*shape: int) -> Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-
-
-def relative(got: Tensor, wanted: Tensor) -> float:
-    return float((got - wanted).norm() / wanted.norm())
 
 
 def test_grid_is_the_papers() -> None:
@@ -234,13 +215,13 @@ def test_grid_is_the_papers() -> None:
 
 def test_area_variant_agrees_with_the_grid_path_and_bilinear_does_not() -> None:
     light = GridLight(SMALL, SCENE, 2)
-    mask, scene = weights(SMALL), pictures(3, 14, 14)
-    wanted = light.embed(scene, light.psf(mask), EMBEDDING)
+    weights, scene = mask(SMALL), pictures(3, 14, 14)
+    wanted = light.embed(scene, light.psf(weights), EMBEDDING)
     errors = {}
     both: tuple[Resampling, ...] = ("area", "bilinear")
     for resampling in both:
         simulation = Algorithm1(SMALL, SCENE, EMBEDDING, resampling, snr_db=math.inf)
-        errors[resampling] = relative(simulation(scene, simulation.psf(mask)), wanted)
+        errors[resampling] = relative(simulation(scene, simulation.psf(weights)), wanted)
     assert errors["area"] < 1e-2
     assert errors["bilinear"] > 4 * errors["area"]
 
@@ -250,12 +231,12 @@ def test_picture_is_not_shifted_at_odd_or_even_sizes(sensor: tuple[int, int]) ->
     """150 and 151 samples: all that is symmetric must give a symmetric picture."""
     panel = dataclasses.replace(SMALL.panel, filter_cycle=())
     camera = dataclasses.replace(SMALL, panel=panel, sensor=Sensor(*sensor, 1.55e-6))
-    mask = weights(camera)
-    mask = mask + mask.flip(0)
-    mask = (mask + mask.flip(1)) / 4
+    weights = mask(camera)
+    weights = weights + weights.flip(0)
+    weights = (weights + weights.flip(1)) / 4
     simulation = Algorithm1(camera, SCENE, EMBEDDING, "area", snr_db=math.inf)
     white = torch.ones(1, 14, 14, dtype=torch.float64)
-    image = simulation(white, simulation.psf(mask))[0]
+    image = simulation(white, simulation.psf(weights))[0]
     assert relative(image.flip(0), image) < 1e-9
     assert relative(image.flip(1), image) < 1e-9
 
@@ -264,7 +245,7 @@ def test_picture_is_not_shifted_at_odd_or_even_sizes(sensor: tuple[int, int]) ->
 def test_noise_is_as_loud_as_asked_for() -> None:
     scene = pictures(24, 14, 14)
     clean = Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.inf)
-    psf = clean.psf(weights(SMALL))
+    psf = clean.psf(mask(SMALL))
     wanted = clean(scene, psf)
     for snr_db in (10.0, 40.0):
         noisy = dataclasses.replace(clean, snr_db=snr_db)

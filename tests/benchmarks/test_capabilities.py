@@ -18,7 +18,6 @@ BEST = torch.backends.cpu.get_cpu_capability()
 
 
 def environment(folder: Path, script: str) -> str:
-    """A variable of make for an environment whose pytest is ``script``."""
     (folder / "bin").mkdir()
     (folder / ".installed").touch()
     program = folder / "bin" / "pytest"

@@ -30,7 +30,6 @@ def camera(seed: int, embedding: tuple[int, int] = EMBEDDING) -> BinnedConvoluti
 
 
 def pictures(count: int, seed: int) -> Tensor:
-    """Black, with one bright rectangle each."""
     generator = torch.Generator().manual_seed(seed)
     scenes = torch.zeros(count, *SCENE)
     for scene in scenes:

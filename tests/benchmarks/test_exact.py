@@ -11,11 +11,8 @@ from tests.oracle.physics import transfer
 
 def a_job() -> Job:
     """The first everyday camera of two columns or more, and scene pixels on either side."""
-    for seed in range(100, 200):
-        job = draw_everyday(seed)
-        if job.embedding.columns == 3 and min(job.scene.shape) > 1:
-            return job
-    raise AssertionError
+    drawn = map(draw_everyday, range(100, 200))
+    return next(job for job in drawn if job.embedding.columns == 3 and min(job.scene.shape) > 1)
 
 
 def test_strip_holds_columns_of_the_whole() -> None:

@@ -18,7 +18,6 @@ COUNTER = 56
 
 
 def stream_head(key: bytes, counter: int = COUNTER) -> np.uint64:
-    """The first bytes of a block, by the library."""
     nonce = counter.to_bytes(4, "little") + bytes(12)
     stream = Cipher(algorithms.ChaCha20(key, nonce), mode=None).encryptor()
     return np.uint64(int.from_bytes(stream.update(bytes(8)), "little"))

@@ -23,7 +23,6 @@ SHAPE = (28, 28)
 
 
 def stock(classes: int) -> Stock:
-    """One picture of each class, of which every pixel says the class."""
     labels = np.repeat(np.arange(classes), [1, *(classes - 1) * [3]])
     pixels = np.broadcast_to(labels[:, None, None], (len(labels), *SHAPE)).astype(np.uint8)
     return Stock(pixels, labels)

@@ -48,9 +48,6 @@ def run(digit_folder: Path, tmp_path: Path) -> Run:
     return invoke
 
 
-# --- which cells there are
-
-
 def test_numbers_of_the_paper_have_their_cells() -> None:
     places = chain.from_iterable(table.places(psf=True) for table in TABLES.values())
     assert {place.title for place in places} >= load_paper().accuracy.keys()
@@ -58,9 +55,6 @@ def test_numbers_of_the_paper_have_their_cells() -> None:
     # Read off the paper.
     assert load_paper().accuracy["mnist_LR_learned_3x4"] == 79.3
     assert load_paper().accuracy["cifar10_VGG11_lens_27x36"] == 86.8
-
-
-# --- running them
 
 
 @pytest.mark.thorough
@@ -116,11 +110,7 @@ def test_quick_table_is_run_once_and_reported(
     assert "is not the result of a cell" in str(run(*options).exception)
 
 
-# --- the report
-
-
 def finish(work: Path, test: float, **settings: object) -> CellResult:
-    """Put a finished cell with a made-up accuracy into ``work``."""
     chosen = Settings.model_validate(settings)
     rows, columns = map(int, chosen.embedding.split("x"))
     epoch = EpochRecord(
@@ -186,7 +176,7 @@ def test_report_says_what_the_cells_found(tmp_path: Path) -> None:
     assert "mnist &lt;here&gt;" in page
     pictures = re.findall(r"\]\(pictures/(\w+)\.png\)", markdown)
     assert set(pictures) == {
-        *("cost", "curves", "psfs", "embeddings", "confusion_LR", "confusion_CNN16"),
+        *("cost", "curves", "psfs", "embeddings", "confusion_LR", "confusion_CNN16")
     }
     assert len(re.findall(r'src="data:image/png;base64,', page)) == page.count("src=") == 6
 
@@ -214,9 +204,6 @@ def test_verdict_is_decided_by_seeds(
     (entry,) = Summary(find_table("mnist"), results).finished()
     assert entry.paper == 95.5
     assert entry.verdict == verdict
-
-
-# --- figures
 
 
 def test_change_records_the_classifier_that_validates_best(tmp_path: Path) -> None:

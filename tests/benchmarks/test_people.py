@@ -15,7 +15,6 @@ PLAN = Plan(masks=(160, 40, 200), blocks=(1, 1, 2), still=4, epochs=3)
 
 
 def people(seed: int, persons: int) -> Images:
-    """Three pictures of each person, who look alike; glasses are a bright bar."""
     random = torch.Generator().manual_seed(seed)
     groups = torch.arange(persons).repeat_interleave(3)
     labels = torch.randint(2, (len(groups),), generator=random)

@@ -32,14 +32,7 @@ _WIDE, _NARROW = (
 
 @dataclass(frozen=True)
 class Contract:
-    """A promise with its tolerance.
-
-    Attributes:
-        name: as the documentation lists it.
-        tolerance: largest distance from keeping it; 0 where there is nothing to measure.
-        applies: whether the promise makes sense for an operator.
-        measure: the distance; raises AssertionError where a promise is simply broken.
-    """
+    """A promise with its tolerance."""
 
     name: str
     tolerance: float
@@ -86,10 +79,7 @@ def linearity(operator: Operator) -> float:
 
 
 def adjoint(operator: Operator) -> float:
-    """The dot test <J u, v> = <u, J* v>: J by forward differentiation, J* by reverse.
-
-    For a linear operator, J u is A u itself. Both sides are divided by |J u| |v|.
-    """
+    """The dot test <J u, v> = <u, J* v>: J by forward differentiation, J* by reverse."""
     worst = 0.0
     for rows, columns in SIZES:
         setting = Setting(rows, columns)
@@ -236,10 +226,7 @@ def devices_kept(operator: Operator) -> float:
 
 
 def sizes_and_mirror(operator: Operator) -> float:
-    """Shapes and finiteness at every size; a mirrored input gives the mirrored output.
-
-    A grid that is off by one sample at odd or even sizes breaks the mirror symmetry.
-    """
+    """Shapes and finiteness at every size; a mirrored input gives the mirrored output."""
     worst = 0.0
     for rows, columns in SIZES:
         setting = Setting(rows, columns)

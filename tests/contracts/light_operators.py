@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions, Imperfections
@@ -56,7 +58,6 @@ def _light_matrix(setting: Setting) -> Bound:
 
 
 def _light_embed(name: str, method: Method, *, rotation: float = 0.0, widens: str = "") -> Operator:
-    """From scenes to noiseless measurements."""
 
     def bind(setting: Setting) -> Bound:
         operator = LightOperator(_model(setting, method, field=True, rotation=rotation)).to(
@@ -83,20 +84,9 @@ def _light_mask(setting: Setting) -> Bound:
     return Bound(apply, setting.mask_shape, (2, *setting.embedding().shape))
 
 
-def _measurement(setting: Setting) -> Bound:
-    """Black level, full well and converter, no noise."""
-    model = measurement_model(
-        Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02), shot=False
-    )
-    shape = setting.embedding().shape
-    return Bound(lambda values: read(model, values), shape, shape)
-
-
-def _saturation(setting: Setting) -> Bound:
-    """Offset and full well alone: no rounding, so the gradient is the derivative."""
-    model = measurement_model(
-        Conditions(electrons=1e4, full_well=5e3, black_level=0.02), shot=False
-    )
+def _measurement(setting: Setting, full_well: float, adc_bits: int = 0) -> Bound:
+    conditions = Conditions(electrons=1e4, full_well=full_well, adc_bits=adc_bits, black_level=0.02)
+    model = measurement_model(conditions, shot=False)
     shape = setting.embedding().shape
     return Bound(lambda values: read(model, values), shape, shape)
 
@@ -118,10 +108,17 @@ LIGHT: tuple[Operator, ...] = (
         dark=False,
         widens=_BOXES,
     ),
-    Operator("measurement, well and offset", _saturation, batched=True, dark=False, refuses=False),
+    Operator(
+        "measurement, well and offset",
+        # No rounding, so the gradient is the derivative.
+        partial(_measurement, full_well=5e3),
+        batched=True,
+        dark=False,
+        refuses=False,
+    ),
     Operator(
         "measurement, converter",
-        _measurement,
+        partial(_measurement, full_well=8e3, adc_bits=10),
         batched=True,
         smooth=False,
         dark=False,

@@ -54,7 +54,6 @@ def _area_average(setting: Setting) -> Bound:
 
 
 def _background(setting: Setting) -> Bound:
-    """A bright picture on a background that varies a little."""
     shape = (setting.rows + 8, setting.columns + 8)
     light = torch.zeros(shape, dtype=setting.dtype, device=setting.device)
     light[3:-3, 3:-3] = 5.0
@@ -62,7 +61,6 @@ def _background(setting: Setting) -> Bound:
 
 
 def _phase_plate(setting: Setting) -> Bound:
-    """From heights in wavelengths to a transmittance."""
     wavelength, shape = setting.wavelength, (setting.rows, setting.columns)
     return Bound(lambda h: phase_plate(h * wavelength, wavelength), shape, shape, kind="signed")
 

@@ -21,6 +21,7 @@ from .setting import Operator
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "stability.md"
 TESTS = ROOT / "tests"
+FOLDERS = ("unit/optics", "contracts")
 
 HARD_CASES = (
     "contracts/test_hard_cases.py",
@@ -31,108 +32,65 @@ HARD_CASES = (
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "square aperture": (
-        "unit/optics/propagation/test_closed_forms.py::test_square_aperture",
-        "contracts/test_factored_closed_forms.py::test_square_aperture_on_axis",
-        "contracts/test_factored_closed_forms.py::test_square_aperture_against_quadrature",
+        "square_aperture",
+        "square_aperture_on_axis",
+        "square_aperture_against_quadrature",
     ),
-    "circular aperture on its axis": (
-        "unit/optics/propagation/test_closed_forms.py::test_circular_aperture_on_axis",
-    ),
-    "Gaussian beam": ("unit/optics/propagation/test_closed_forms.py::test_gaussian_beam",),
-    "Talbot distance": ("unit/optics/propagation/test_closed_forms.py::test_talbot_distance",),
-    "Arago's spot": ("unit/optics/propagation/test_closed_forms.py::test_arago_spot",),
-    "knife edge": (
-        "unit/optics/propagation/test_closed_forms.py::test_knife_edge",
-        "contracts/test_factored_closed_forms.py::test_knife_edge",
-        "contracts/test_factored_closed_forms.py::test_knife_edge_through_the_transfer_operator",
-    ),
-    "two slits": (
-        "contracts/test_factored_closed_forms.py::test_two_slits_in_the_far_field",
-        "contracts/test_factored_closed_forms.py::test_two_slits_through_the_transfer_operator",
-    ),
+    "circular aperture on its axis": ("circular_aperture_on_axis",),
+    "Gaussian beam": ("gaussian_beam",),
+    "Talbot distance": ("talbot_distance",),
+    "Arago's spot": ("arago_spot",),
+    "knife edge": ("knife_edge", "knife_edge_through_the_transfer_operator"),
+    "two slits": ("two_slits_in_the_far_field", "two_slits_through_the_transfer_operator"),
     "energy": (
-        "unit/optics/propagation/test_propagation.py::test_energy_is_conserved_exactly_when_periodic",
-        "unit/optics/transfer/test_grid.py::test_energy_is_kept_by_propagation",
-        "unit/optics/test_incumbent_defects.py::test_open_area_is_not_floored",
-        "contracts/test_factored_closed_forms.py::test_energy_of_the_field",
-        "contracts/test_factored_closed_forms.py::test_energy_of_the_transfer",
+        "energy_is_conserved_exactly_when_periodic",
+        "energy_is_kept_by_propagation",
+        "open_area_is_not_floored",
+        "energy_of_the_field",
+        "energy_of_the_transfer",
     ),
-    "there and back again": (
-        "unit/optics/propagation/test_propagation.py::test_there_and_back_again",
-    ),
+    "there and back again": ("there_and_back_again",),
     "shift equivariance": (
-        "unit/optics/propagation/test_propagation.py::test_shift_of_the_source_shifts_the_field",
-        "unit/optics/propagation/test_propagation.py::test_subpixel_shift_is_exact",
-        "unit/optics/transfer/test_grid.py::test_scene_shift_moves_the_image_the_other_way",
-        "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_field",
-        "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_transfer",
-        "contracts/test_factored_closed_forms.py::test_scene_pixel_further_is_an_embedding_pixel_back",
+        "shift_of_the_source_shifts_the_field",
+        "subpixel_shift_is_exact",
+        "scene_shift_moves_the_image_the_other_way",
+        "shift_equivariance_of_the_field",
+        "shift_equivariance_of_the_transfer",
+        "scene_pixel_further_is_an_embedding_pixel_back",
     ),
 }
-"""Closed forms of diffraction theory, and where each is tested; tolerances stand in the tests."""
 
 DEFECTS: Mapping[str, tuple[str, ...]] = {
-    "odd sizes shifted by a pixel": (
-        "unit/optics/test_incumbent_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
-        "contracts/test_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
-    ),
+    "odd sizes shifted by a pixel": ("odd_sizes_are_not_shifted_by_a_pixel",),
     "colour and wavelength swapped": (
-        "unit/optics/test_incumbent_defects.py::test_each_colour_is_propagated_at_its_own_wavelength",
-        "contracts/test_defects.py::test_each_colour_has_its_own_wavelength",
+        "each_colour_is_propagated_at_its_own_wavelength",
+        "each_colour_has_its_own_wavelength",
     ),
-    "apertures floored to whole samples": (
-        "unit/optics/test_incumbent_defects.py::test_open_area_is_not_floored",
-        "contracts/test_defects.py::test_open_area_is_exact",
-    ),
-    "weights outside [0, 1] get no gradient": (
-        "unit/optics/test_incumbent_defects.py::test_weights_at_the_ends_do_not_die",
-        "contracts/test_defects.py::test_weights_at_the_ends_do_not_die",
-    ),
-    "more signal to noise than asked for": (
-        "contracts/test_hard_measurements.py::test_noise_far_above_and_below_the_signal",
-    ),
-    "noise on the scene instead of the measurement": (
-        "contracts/test_plans.py::test_noise_of_a_plan_is_noise_after_the_optics",
-    ),
+    "apertures floored to whole samples": ("open_area_is_not_floored", "open_area_is_exact"),
+    "weights outside [0, 1] get no gradient": ("weights_at_the_ends_do_not_die",),
+    "more signal to noise than asked for": ("noise_far_above_and_below_the_signal",),
+    "noise on the scene instead of the measurement": ("noise_of_a_plan_is_noise_after_the_optics",),
     "a bright neighbour in the batch darkens an image": (
-        "contracts/test_contracts.py::test_contract",
-        "contracts/test_hard_measurements.py::test_each_image_has_its_own_noise_level",
+        "contract",
+        "each_image_has_its_own_noise_level",
     ),
-    "misspelt options swallowed": (
-        "contracts/test_defects.py::test_no_function_swallows_a_misspelt_option",
-    ),
-    "a pattern divided by its own maximum": (
-        "unit/optics/test_incumbent_defects.py::test_dim_mask_stays_dim",
-        "contracts/test_defects.py::test_dim_mask_stays_dim",
-    ),
-    "bits lost on the wire modelled nowhere": (
-        "contracts/test_defects.py::test_six_bits_of_the_wire_are_modelled",
-    ),
+    "misspelt options swallowed": ("no_function_swallows_a_misspelt_option",),
+    "a pattern divided by its own maximum": ("dim_mask_stays_dim",),
+    "bits lost on the wire modelled nowhere": ("six_bits_of_the_wire_are_modelled",),
     "options that do nothing": (
-        "unit/optics/test_incumbent_defects.py::test_every_option_of_the_angular_spectrum_does_something",
-        "contracts/test_defects.py::test_every_option_of_the_transfer_operator_does_something",
-        "contracts/test_defects.py::test_every_option_of_the_other_paths_does_something",
+        "every_option_of_the_angular_spectrum_does_something",
+        "every_option_of_the_transfer_operator_does_something",
+        "every_option_of_the_other_paths_does_something",
     ),
-    "frequencies that are not the DFT's": (
-        "contracts/test_phases.py::test_angular_spectrum_transfer",
-    ),
-    "float32 kernels under complex128": ("contracts/test_contracts.py::test_contract",),
-    "NaN gradient at the evanescent edge": (
-        "contracts/test_hard_cases.py::test_wave_on_the_evanescent_edge_is_kept",
-    ),
-    "resizing that skips pixels": (
-        "unit/optics/test_incumbent_defects.py::test_binning_reads_every_pixel",
-    ),
-    "division by no light": (
-        "contracts/test_hard_cases.py::test_opaque_and_fully_open",
-        "contracts/test_hard_cases.py::test_zero_in_zero_out",
-    ),
+    "frequencies that are not the DFT's": ("angular_spectrum_transfer",),
+    "float32 kernels under complex128": ("contract",),
+    "NaN gradient at the evanescent edge": ("wave_on_the_evanescent_edge_is_kept",),
+    "resizing that skips pixels": ("binning_reads_every_pixel",),
+    "division by no light": ("opaque_and_fully_open", "zero_in_zero_out"),
 }
-"""Defects found in other optics packages, and the tests that this one does not have them."""
 
 
 def named_tests(path: Path) -> dict[str, str]:
-    """Names of a file's tests, each with the first line of its docstring."""
     return {
         node.name: (ast.get_docstring(node) or "").split("\n")[0]
         for node in ast.parse(path.read_text()).body
@@ -140,8 +98,14 @@ def named_tests(path: Path) -> dict[str, str]:
     }
 
 
+def places(name: str) -> list[str]:
+    files = [path for each in FOLDERS for path in sorted((TESTS / each).rglob("test_*.py"))]
+    found = [path.relative_to(TESTS) for path in files if f"def test_{name}(" in path.read_text()]
+    assert found, f"there is no test_{name}"
+    return [f"{path}::test_{name}" for path in found]
+
+
 def measured(operator: Operator, contract: Contract) -> str:
-    """One cell: the distance from keeping a promise, to one digit."""
     if not contract.applies(operator):
         return ""
     value = contract.measure(operator)
@@ -153,12 +117,10 @@ def measured(operator: Operator, contract: Contract) -> str:
 
 
 def blank(operator: Operator, contract: Contract) -> str:
-    """One cell without its number: what can be compared on any machine."""
     return ("#" if contract.tolerance else "kept") if contract.applies(operator) else ""
 
 
 def without_numbers(page: str) -> str:
-    """A page with every measured number blanked."""
     before, heading, rest = page.partition("## Measured")
     table, end, after = rest.partition("Where float64 is computed")
     table = re.sub(r"(?<=\| )(\de[+-]\d+|exact)(?= \|)", "#", table)
@@ -166,7 +128,6 @@ def without_numbers(page: str) -> str:
 
 
 def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
-    """The page, line by line."""
     yield "# Numerical stability"
     yield ""
     yield "Written by `python -m tests.contracts.report`; do not edit. Every operator of the"
@@ -218,12 +179,12 @@ def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
         yield "| what | tests, below `tests` |"
         yield "|---|---|"
         for what, tests in table.items():
-            yield f"| {what} | " + "<br>".join(f"`{test}`" for test in tests) + " |"
+            found = "<br>".join(f"`{place}`" for name in tests for place in places(name))
+            yield f"| {what} | {found} |"
         yield ""
 
 
 def render(cell: Callable[[Operator, Contract], str]) -> str:
-    """The whole page."""
     return "\n".join(lines(cell)).rstrip() + "\n"
 
 

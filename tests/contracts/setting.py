@@ -23,46 +23,31 @@ Kind = Literal["weights", "field", "signed"]
 
 @dataclass(frozen=True)
 class Setting:
-    """Sizes, types and lengths; the lengths may be tensors that ask for a gradient.
-
-    Attributes:
-        rows: scene rows, grid rows and embedding columns; a mask has two rows more.
-        columns: scene columns, grid columns and embedding rows; a mask has one column more.
-        dtype: real type that the operator works in.
-        device: where tensors live.
-        distance: propagation or mask-to-sensor distance [m]; the source is 50 times as far.
-        wavelength: of green [m]; red is 10 % longer, blue 10 % shorter.
-        pitch: of a grid [m]; a panel's pitch is twice (y) and three times (x) as long.
-        variables: tensors that take the place of ``distance``, ``wavelength`` or ``pitch``.
-    """
+    """Sizes, types and lengths; the lengths may be tensors that ask for a gradient."""
 
     rows: int = 5
     columns: int = 4
     dtype: torch.dtype = torch.float64
     device: torch.device = CPU
-    distance: float = 1e-3
+    distance: float = 1e-3  # [m], of lengths all
     wavelength: float = 550e-9
     pitch: float = 20e-6
     variables: Mapping[str, Tensor] = field(default_factory=dict)
 
     def length(self, name: str) -> Real:
-        """One of the three lengths [m]: its tensor where it is a variable, else the number."""
         if name in self.variables:
             return self.variables[name]
         return {"distance": self.distance, "wavelength": self.wavelength, "pitch": self.pitch}[name]
 
     @property
     def complex_dtype(self) -> torch.dtype:
-        """The complex type that belongs to ``dtype``."""
         return torch.complex128 if self.dtype == torch.float64 else torch.complex64
 
     @property
     def mask_shape(self) -> tuple[int, int]:
-        """Rows and columns of the mask."""
         return self.rows + 2, self.columns + 1
 
     def camera(self, *, filters: bool = False, leakage: float = 0.0) -> Camera:
-        """A camera of a few sub-pixels, with the plain numbers of this setting."""
         pitch, wavelength = self.pitch, self.wavelength
         rows, columns = self.mask_shape
         panel = Panel(
@@ -85,34 +70,22 @@ class Setting:
         )
 
     def scene(self) -> Scene:
-        """A scene whose image covers at most half the sensor's height."""
         distance = 50 * self.distance
         height = 50 * 5 * self.pitch * self.rows / max(self.rows, self.columns)
         return Scene(rows=self.rows, columns=self.columns, height=height, distance=distance)
 
     def embedding(self) -> Embedding:
-        """An embedding of the scene's shape, turned by 90 degrees."""
         return Embedding(rows=self.columns, columns=self.rows)
 
 
 @dataclass(frozen=True)
 class Bound:
-    """An operator in one setting: a function of one tensor.
-
-    Attributes:
-        apply: the function; a batched operator takes any number of leading axes.
-        shape: of one input.
-        result: shape of one output.
-        kind: what an input may hold.
-    """
-
     apply: Callable[[Tensor], Tensor]
     shape: tuple[int, ...]
     result: tuple[int, ...]
     kind: Kind = "weights"
 
     def sample(self, setting: Setting, seed: int = 0, batch: tuple[int, ...] = ()) -> Tensor:
-        """A random input of the kind that the operator takes."""
         generator = torch.Generator().manual_seed(seed)
         shape = (*batch, *self.shape)
         if self.kind == "field":
@@ -127,40 +100,22 @@ class Bound:
 
 @dataclass(frozen=True)
 class Operator:
-    """One entry of the registry.
-
-    Attributes:
-        name: as the documentation lists it.
-        bind: makes the operator for a setting.
-        linear: ``apply`` is linear in its input.
-        batched: leading axes of the input are independent of each other.
-        smooth: the gradient is the derivative (a straight-through estimator's is not).
-        forward: can be differentiated forward as well as in reverse.
-        mirror: mirroring the input's rows (columns) mirrors these axes of the output, given for
-            rows and for columns; empty where there is no such symmetry.
-        quantities: lengths of the setting that gradients reach.
-        dtypes: real types that are offered.
-        meta: works on shapes alone (the device ``meta``): nothing depends on values.
-        refuses: an input of another shape is refused.
-        random: draws numbers, other ones on another device or in another type.
-        dark: nothing in, nothing out.
-        widens: why float64 is computed while applying in float32; empty where it is not.
-    """
-
     name: str
     bind: Callable[[Setting], Bound]
     linear: bool = False
     batched: bool = False
-    smooth: bool = True
-    forward: bool = True
+    smooth: bool = True  # the gradient is the derivative
+    forward: bool = True  # can be differentiated forward, too
     mirror: tuple[tuple[int, ...], tuple[int, ...]] = ((-2,), (-1,))
+    """Axes of the output that mirroring the input's rows, or columns, mirrors."""
     quantities: tuple[str, ...] = ()
     dtypes: tuple[torch.dtype, ...] = (torch.float64, torch.float32)
-    meta: bool = False
-    refuses: bool = True
+    meta: bool = False  # works on shapes alone
+    refuses: bool = True  # an input of another shape
     random: bool = False
-    dark: bool = True
+    dark: bool = True  # nothing in, nothing out
     widens: str = ""
+    """Why float64 is computed while applying in float32."""
 
 
 def symmetric_weights(setting: Setting) -> Tensor:
@@ -172,7 +127,6 @@ def symmetric_weights(setting: Setting) -> Tensor:
 
 
 def centred(count: int, setting: Setting) -> Tensor:
-    """Whole steps around zero, float64 (count,)."""
     index = torch.arange(count, dtype=torch.float64, device=setting.device)
     return index - (count - 1) / 2
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from tests.unit.optics.tensors import mask
 
 import veilcam_optics
 from veilcam_optics.apertures import remove_background
@@ -29,11 +29,6 @@ from .contracts import relative
 CAMERA = Camera(window=Window(9, 4, 180, 74), sensor=Sensor(480, 640))
 OPEN = replace(CAMERA, panel=Panel(filter_cycle=()))
 SCENE, EMBEDDING = Scene(3, 4, 0.05), Embedding(6, 8)
-
-
-def some_weights(seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(CAMERA.mask_shape, generator=generator, dtype=torch.float64)
 
 
 def operator(
@@ -56,7 +51,6 @@ def modules() -> list[Path]:
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: path.stem)
 def test_no_function_swallows_a_misspelt_option(path: Path) -> None:
-    """No ``**kwargs`` anywhere in the package."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             assert node.args.kwarg is None, f"line {node.lineno}"
@@ -64,10 +58,10 @@ def test_no_function_swallows_a_misspelt_option(path: Path) -> None:
 
 def test_each_colour_has_its_own_wavelength() -> None:
     """Red's matrix is that of a camera all of whose light is red, and so on."""
-    colours = operator(OPEN, reach=Reach(8, 3), colour=True)(some_weights())
+    colours = operator(OPEN, reach=Reach(8, 3), colour=True)(mask(CAMERA))
     for channel, wavelength in enumerate(OPEN.wavelengths):
         alone = replace(OPEN, wavelengths=(wavelength, wavelength, wavelength))
-        same = operator(alone, reach=Reach(8, 3), colour=True)(some_weights())
+        same = operator(alone, reach=Reach(8, 3), colour=True)(mask(CAMERA))
         assert relative(colours[channel], same[0]) < 1e-13
         assert relative(same[0], same[2]) < 1e-13
     assert relative(colours[0], colours[2]) > 1e-3
@@ -84,9 +78,8 @@ def test_open_area_is_exact() -> None:
 
 
 def test_dim_mask_stays_dim() -> None:
-    """Nothing is divided by its own maximum, neither light nor levels."""
     light = operator()
-    assert relative(light(some_weights() / 2), light(some_weights()) / 4) < 1e-13
+    assert relative(light(mask(CAMERA) / 2), light(mask(CAMERA)) / 4) < 1e-13
     half = to_levels(torch.full(CAMERA.mask_shape, 0.5), Panel())
     assert set(half.flatten().tolist()) == {32}
 
@@ -94,7 +87,7 @@ def test_dim_mask_stays_dim() -> None:
 @pytest.mark.parametrize(("value", "outside"), [(1e-6, -0.5), (1.0, 1.5)])
 def test_weights_at_the_ends_do_not_die(value: float, outside: float) -> None:
     """Clipped inside, they would get no gradient and never come back; outside is refused."""
-    weights = some_weights()
+    weights = mask(CAMERA)
     weights[2, 1] = outside
     with pytest.raises(OpticsError, match=r"weights hold 1 values outside \[0, 1\]"):
         operator()(weights)
@@ -108,7 +101,7 @@ def test_weights_at_the_ends_do_not_die(value: float, outside: float) -> None:
 
 def test_six_bits_of_the_wire_are_modelled() -> None:
     """A panel of 64 levels shows another mask than one of 2, and an embedding tells."""
-    weights, light = some_weights(), operator()
+    weights, light = mask(CAMERA), operator()
     exact = light(weights)
     errors = [
         relative(light(quantise(weights, replace(Panel(), levels=levels))), exact)
@@ -125,7 +118,7 @@ def test_odd_sizes_are_not_shifted_by_a_pixel(rows: int, columns: int) -> None:
     light = TransferOperator(
         OPEN, SCENE, Embedding(rows, columns), reach=Reach(8, 3), dtype=torch.float64
     )
-    weights = some_weights()
+    weights = mask(CAMERA)
     weights = weights + weights.flip(0)
     weights = (weights + weights.flip(1)) / 4
     values = light.embed(torch.ones(1, *SCENE.shape, dtype=torch.float64), weights)[0]
@@ -156,8 +149,8 @@ def test_every_option_of_the_transfer_operator_does_something(
     name: str, changed: TransferOperator
 ) -> None:
     """An absorbing boundary that absorbs nothing is an option that lies."""
-    base = operator(OPEN)(some_weights())
-    assert relative(changed(some_weights()), base) > 1e-6, name
+    base = operator(OPEN)(mask(CAMERA))
+    assert relative(changed(mask(CAMERA)), base) > 1e-6, name
 
 
 def test_every_option_of_the_other_paths_does_something() -> None:
@@ -165,7 +158,7 @@ def test_every_option_of_the_other_paths_does_something() -> None:
     by_grid = []
     for oversampling in (1.0, 2.0):
         light = GridLight(CAMERA, SCENE, oversampling)
-        by_grid.append(light.embed(scenes, light.psf(some_weights()), EMBEDDING))
+        by_grid.append(light.embed(scenes, light.psf(mask(CAMERA)), EMBEDDING))
     assert relative(*by_grid) > 1e-4
     image = torch.rand(40, 40, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     image[15:25, 15:25] += 5
@@ -175,10 +168,9 @@ def test_every_option_of_the_other_paths_does_something() -> None:
 
 
 def test_secrets_stay_out_of_refusals() -> None:
-    """Messages tell shapes and counts, never a weight."""
-    weights = some_weights()
+    weights = mask(CAMERA)
     weights[0, 0] = float("nan")
-    for wrong in (weights, some_weights().mT):
+    for wrong in (weights, mask(CAMERA).mT):
         with pytest.raises(OpticsError) as refusal:
             operator()(wrong)
         told = str(refusal.value)

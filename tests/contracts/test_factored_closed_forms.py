@@ -70,10 +70,7 @@ def test_square_aperture_against_quadrature(source_distance: float) -> None:
 
 
 def test_knife_edge() -> None:
-    """A quarter at the edge, 1.370 at t = 1.217, and a shadow without fringes (Born and Wolf).
-
-    The other edge is a metre away; what is left of it is some 1e-4.
-    """
+    """A quarter at the edge, 1.370 at t = 1.217, and a shadow without fringes (Born and Wolf)."""
     distance = 4e-3
     unit = math.sqrt(WAVELENGTH * distance / 2)
     t = line(-6, 6, 12_001)
@@ -122,7 +119,6 @@ def test_energy_of_the_field(source_distance: float) -> None:
 
 
 def bench(**panel: float) -> Camera:
-    """Six rows and two columns of sub-pixels before a wide sensor, without colour filters."""
     return Camera(
         panel=replace(Panel(filter_cycle=()), **panel),  # type: ignore[arg-type]
         window=Window(rows=6, columns=2),

@@ -121,10 +121,7 @@ def test_very_faint_and_very_bright(operator: Operator, scale: float) -> None:
 @pytest.mark.parametrize("quarter", [2, 4])
 @pytest.mark.parametrize("dtype", [torch.complex128, torch.complex64], ids=str)
 def test_wave_on_the_evanescent_edge_is_kept(quarter: int, dtype: torch.dtype) -> None:
-    """s = (wavelength f)^2 is exactly 1: the wave runs along the plane and keeps its phase.
-
-    Lengths are powers of two, so that no rounding moves the wave off the edge.
-    """
+    """s = (wavelength f)^2 is exactly 1: the wave runs along the plane and keeps its phase."""
     wavelength, n = 2.0**-20, 8
     pitch = wavelength / quarter
     frequency = n // quarter / (n * pitch)
@@ -232,10 +229,7 @@ def test_half_precision_transfer(
 
 @pytest.mark.parametrize("dtype", [torch.complex128, torch.complex64], ids=str)
 def test_learnable_distance_at_forty_centimetres(dtype: torch.dtype) -> None:
-    """Gradient steps find the distance, 0.4 m, from which an irradiance came.
-
-    With the carrier kept, float32 has lost the phase at this distance (0.17 rad rms).
-    """
+    """Gradient steps find the distance, 0.4 m, from which an irradiance came."""
     method = AngularSpectrum()
     source, target = Grid.square(24, 25, 40e-6), Grid.square(48, 50, 40e-6)
     field = torch.rand(24, 25, generator=torch.Generator().manual_seed(0)).to(dtype)

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from tests.unit.optics.tensors import seeded
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
@@ -13,10 +14,6 @@ from veilcam_optics.effects.composition import read
 from veilcam_optics.sensor.noise import shot_noise
 
 from .setting import measurement_model
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
@@ -55,10 +52,7 @@ def test_saturated_embedding() -> None:
 
 @pytest.mark.parametrize("mean", [0.0, 1.0, 1 / 784])
 def test_one_photon(mean: float) -> None:
-    """A photon in each pixel, or in a whole image: mean and variance are those of both noises.
-
-    The black level keeps the half of the noise that is below zero.
-    """
+    """A photon in each pixel, or in a whole image: mean and variance are those of both noises."""
     conditions = Conditions(
         electrons=1000.0,
         full_well=1000.0,

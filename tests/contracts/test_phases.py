@@ -27,7 +27,6 @@ from veilcam_optics.transfer.factored import aperture_fields
 from .contracts import relative
 
 Number: TypeAlias = Any
-"""A number of 40 digits; mpmath has no types."""
 Turns = Callable[[Number, Number, Number], Number]
 """Phase in turns as a function of a position or frequency, a distance and a wavelength."""
 

@@ -62,7 +62,6 @@ def _transfer_matrix(
 
 
 def _transfer_embed(name: str, *, colour: bool) -> Operator:
-    """From scenes to embeddings behind one mask."""
 
     def bind(setting: Setting) -> Bound:
         operator = _transfer(setting, filters=True, leakage=0.1, reach=Reach(3, 1), colour=colour)
@@ -79,7 +78,6 @@ def _transfer_embed(name: str, *, colour: bool) -> Operator:
 
 
 def _transfer_by_factors(setting: Setting) -> Bound:
-    """As embedding through the matrix, without forming it."""
     operator = _transfer(setting, filters=True, leakage=0.1, reach=WIDE, colour=True)
     weights = symmetric_weights(setting)
     return Bound(
@@ -107,7 +105,6 @@ def _decoder(setting: Setting) -> Bound:
 def _transfer_variant(
     name: str, *, beams: bool = False, approximation: Approximation = EXACT
 ) -> Operator:
-    """Several beams of each channel, or something left out."""
 
     def bind(setting: Setting) -> Bound:
         light = [
@@ -132,7 +129,6 @@ def _transfer_variant(
 
 
 def _factored_field(setting: Setting) -> Bound:
-    """``U = F w G^T`` of a few sub-pixels under a spherical wave."""
     pitch = setting.length("pitch")
     spread = []
     for apertures, points in zip(

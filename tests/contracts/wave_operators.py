@@ -66,7 +66,6 @@ def _grid_embed_of_psf(setting: Setting) -> Bound:
 def _propagation(
     name: str, propagator: AngularSpectrum, *, shifted: bool = False, scale: float = 1.0
 ) -> Operator:
-    """Free space between two grids, the target's a little larger than the source's."""
 
     def bind(setting: Setting) -> Bound:
         pitch = setting.length("pitch")
@@ -97,7 +96,6 @@ def _propagation(
 
 
 def _point_spread(name: str, *, scene_distance: float) -> Operator:
-    """From a complex transmittance to its irradiance."""
 
     def bind(setting: Setting) -> Bound:
         pitch = setting.length("pitch")
@@ -141,7 +139,6 @@ def _illumination(name: str, *, paraxial: bool) -> Operator:
 
 
 def _tilted_wave(setting: Setting) -> Bound:
-    """From the sines of a direction, in hundredths, to the plane wave."""
     pitch = setting.length("pitch")
     grid = Grid(setting.rows, setting.columns, pitch, pitch)
 

@@ -21,7 +21,6 @@ packs = pytest.mark.skipif(
 
 
 def wheel(folder: Path, name: str, version: str, *lines: str) -> None:
-    """What pip leaves of a package beside its code."""
     info = folder / f"{name}-{version}.dist-info"
     info.mkdir(parents=True)
     told = [f"Name: {name}", f"Version: {version}", *lines]
@@ -30,7 +29,6 @@ def wheel(folder: Path, name: str, version: str, *lines: str) -> None:
 
 @pytest.fixture
 def release(tmp_path: Path) -> Path:
-    """A release of two packages beside our own."""
     folder = tmp_path / "stage/usr/lib/veilcam/unpacked"
     wheel(folder / "lib", "veilcam", "1.2.3", "License-Expression: Apache-2.0")
     for minor in ("py311", "py313"):
@@ -70,9 +68,7 @@ def test_scripts_are_sh_and_stop_at_what_fails(name: str) -> None:
     subprocess.run(["sh", "-n", str(path)], check=True)
 
 
-def test_each_python_package_is_listed_once_and_must_have_a_licence(
-    release: Path,
-) -> None:
+def test_each_python_package_is_listed_once_and_must_have_a_licence(release: Path) -> None:
     bill = json.loads(json.dumps(build.bill_of_materials(release, "1.2.3")))
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
     told = {each["purl"]: each["licenses"][0]["license"]["name"] for each in bill["components"]}

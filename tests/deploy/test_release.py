@@ -16,8 +16,6 @@ TRIES = 3
 
 @dataclass
 class Device:
-    """A root in a folder, as far as releases go."""
-
     root: Path
 
     def __post_init__(self) -> None:
@@ -35,7 +33,6 @@ class Device:
         return done.stdout
 
     def install(self, name: str, content: str = "program") -> None:
-        """As dpkg does: what it unpacks takes the place of what was there."""
         unpacked = self.root / "usr/lib/veilcam/unpacked"
         unpacked.mkdir(parents=True, exist_ok=True)
         for file, text in (("RELEASE", f"{name}\n"), ("code", content)):
@@ -63,7 +60,6 @@ class Device:
 
 @pytest.fixture
 def device(tmp_path: Path) -> Device:
-    """A device whose first release was ready."""
     made = Device(tmp_path)
     made.install("1")
     made.start(ready=True)

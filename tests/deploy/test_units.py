@@ -36,7 +36,6 @@ def fields(name: str) -> dict[str, str]:
 
 @pytest.fixture
 def units(tmp_path: Path) -> Path:
-    """The units in a folder, with a program that exists."""
     for name in ("veilcamd.service", "veilcamd.socket", "veilcam-mqtt.service"):
         text = (DEPLOY / name).read_text()
         program = r"/usr/(bin/veilcam[a-z-]*|lib/veilcam/release)"
@@ -64,13 +63,17 @@ def test_the_sandbox_leaves_little_exposed(units: Path) -> None:
     assert analyze("security", "--offline=true", "--threshold=11", service).returncode != 0
 
 
-def test_sandbox_lets_the_daemon_ask_for_the_state_of_the_clock_and_not_set_it() -> None:
+def test_sandbox_lets_the_daemon_ask_for_the_clock_s_state_and_keeps_keys_in_memory() -> None:
     lines = (DEPLOY / "veilcamd.service").read_text().splitlines()
     # What is allowed comes after what takes it away. ProtectClock= would refuse it all the same.
     allowed = lines.index("SystemCallFilter=adjtimex clock_adjtime clock_adjtime64")
     assert allowed > lines.index("SystemCallFilter=~@privileged @resources")
     assert not [line for line in lines if line.startswith("ProtectClock=")]
     assert {"CapabilityBoundingSet=", "AmbientCapabilities=", "DevicePolicy=closed"} <= set(lines)
+    # Keys reach neither a core file nor swap.
+    assert {"LimitCORE=0", "MemorySwapMax=0"} <= set(lines)
+    # What opens nothing earlier is not handed to the daemon in the first place.
+    assert not any("Credential" in line for line in lines)
 
 
 @analyses
@@ -143,13 +146,6 @@ def test_a_value_in_that_file_may_stay_or_be_taken_into_force(
     }
     assert differ == {"panel_tab", "owner_keys", "rotation", "hosts"}
     assert len(given) > 30
-
-
-def test_keys_reach_neither_a_core_file_nor_swap() -> None:
-    unit = (DEPLOY / "veilcamd.service").read_text().splitlines()
-    assert {"LimitCORE=0", "MemorySwapMax=0"} <= set(unit)
-    # What opens nothing earlier is not handed to the daemon in the first place.
-    assert not any("Credential" in line for line in unit)
 
 
 def test_one_port_everywhere() -> None:

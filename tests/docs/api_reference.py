@@ -38,7 +38,6 @@ camera = Camera(token=token)
 ```
 """
 LONGEST = 1200
-"""Characters of an answer that a page shows."""
 
 
 def page(found: Mapping[str, Any]) -> str:

@@ -25,8 +25,6 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 @dataclass(frozen=True)
 class Served:
-    """Camera with fresh masks, and what decodes the embeddings that it seals."""
-
     fake: FakeCamera
     frame: Path
     key: Path

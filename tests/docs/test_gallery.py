@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted((ROOT / "examples" / "gallery").glob("*.py"))
 PAGE = (ROOT / "docs" / "gallery.md").read_text()
 LARGEST = 100_000
-"""Bytes of a picture in the repository."""
 
 
 def numbers(text: str) -> list[float]:

@@ -35,8 +35,6 @@ WITHOUT_PIP = GOOD.replace("case", 'case "$2" in *ensurepip*) exit 1;; esac\ncas
 
 @dataclass
 class Machine:
-    """A folder that holds every program there is, and the environment that was made."""
-
     root: Path
 
     def __post_init__(self) -> None:

@@ -18,11 +18,9 @@ from veilcam_training.cli.main import app
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "examples" / "notebooks").glob("*.ipynb"))
 SMALLER: Mapping[str, str] = {"--count 1000": "--count 300", "--epochs 40": "--epochs 25"}
-"""Sizes of the short form, which reads somewhat worse."""
 
 
 async def run(sources: list[str]) -> int:
-    """Run cells as a kernel does, within a loop; return the number of pictures."""
     names: dict[str, object] = {}
     drawn = 0
     for source in sources:

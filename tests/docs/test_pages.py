@@ -33,9 +33,7 @@ PROGRAMS = {
 BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"(?:^|[\s/])(veilcam(?:d|-train|-optics|-mqtt)?) ([a-z][a-z-]*(?=\s|$).*)")
 
-
 OTHERS = {"--long"}
-"""Options of the tests."""
 Command = TyperCommand | TyperGroup
 
 

@@ -45,8 +45,6 @@ _ELECTRONS = 1e20
 
 @dataclass(frozen=True)
 class Job:
-    """One camera, scene and embedding under some conditions, and the tolerance of its plan."""
-
     camera: Camera
     scene: Scene
     embedding: Embedding
@@ -56,19 +54,15 @@ class Job:
     """Equal parts of the pitch, and how many in the middle are open, along y and x."""
     effects: tuple[str, ...] = ()
     unaffordable: int = 0
-    """Draws before this one that the oracle could not afford."""
 
     @property
     def measured(self) -> bool:
-        """Whether well, black level or converter change what a white scene reads."""
         conditions = self.conditions
         return bool(conditions.full_well or conditions.black_level or conditions.adc_bits)
 
 
 @dataclass(frozen=True)
 class Lengths:
-    """The three that decide the physics [m]."""
-
     pitch: float
     distance: float
     wavelength: float
@@ -152,7 +146,6 @@ def _panel(
     pitches: tuple[float, float],
     fills: tuple[tuple[int, int], tuple[int, int]],
 ) -> Panel:
-    """A panel somewhat larger than the window: its filters begin anywhere in their cycle."""
     cycle = generator.choice(_CYCLES)
     table: tuple[tuple[float, float, float], ...] = ()
     if cycle and generator.random() < 0.3:
@@ -172,7 +165,6 @@ def _panel(
 
 
 def _colours(generator: random.Random, wavelength: float) -> tuple[float, float, float]:
-    """The longest and two that are shorter, or as long."""
     colours = [wavelength * part for part in (1, generator.choice([1, 0.85]))]
     colours.append(wavelength * generator.choice([1.0, 0.7]))
     generator.shuffle(colours)
@@ -191,7 +183,6 @@ def _scene(generator: random.Random, camera: Camera, side: float, most: int) -> 
 def _conditions(
     generator: random.Random, camera: Camera, scene: Scene
 ) -> tuple[Conditions, tuple[str, ...]]:
-    """None in some jobs, all kinds together in others."""
     imperfect, others = _imperfections(generator, camera), _others(generator, camera, scene)
     chance = generator.choice([0.0, 0.1, 0.3])
     built = [name for name in imperfect if generator.random() < chance]
@@ -255,7 +246,6 @@ def _others(
 
 
 def light(job: Job) -> Light:
-    """The job as the oracle sees it: raw lengths."""
     camera, scene, embedding = job.camera, job.scene, job.embedding
     panel, sensor, built = camera.panel, camera.sensor, job.conditions.imperfections
     pixel = scene.height / scene.rows
@@ -345,26 +335,22 @@ def shown(job: Job, weights: Array) -> Array:
 
 
 def lit(job: Job) -> bool:
-    """Whether any light comes through every mask that the job is judged by."""
     passed = shown(job, masks(job))
     seen = sorted({beam.channel for beam in _beams(job)})
     return bool(passed[:, seen].any((1, 2, 3)).all())
 
 
 def masks(job: Job, count: int = 3) -> Array:
-    """Masks that no plan has seen."""
     return np.random.default_rng(987654321).random((count, *job.camera.mask_shape))
 
 
 def scattered(job: Job, transfers: Array) -> Array:
-    """With the stray light that is spread evenly over the sensor."""
     share = job.conditions.imperfections.stray_light
     spread: Array = (1 - share) * transfers + share * transfers.mean(-1, keepdims=True)
     return spread
 
 
 def read(job: Job, values: Array) -> Array:
-    """What well, black level and converter make of embeddings; no noise."""
     conditions = job.conditions
     if conditions.full_well:
         values = np.minimum(values, conditions.full_well / conditions.electrons)
@@ -377,12 +363,10 @@ def read(job: Job, values: Array) -> Array:
 
 
 def log_uniform(generator: random.Random, low: float, high: float) -> float:
-    """A number whose logarithm is evenly spread."""
     return math.exp(generator.uniform(math.log(low), math.log(high)))
 
 
 def _corner(generator: random.Random, low: float, high: float) -> float:
-    """An end of the range in one draw of four."""
     if generator.random() < 0.25:
         return generator.choice([low, high])
     return log_uniform(generator, low, high)

@@ -26,8 +26,7 @@ from .physics import Array, Light, extrapolated, transfer
 UNSURE = 0.3
 """An oracle that is itself this share of the larger of both errors off cannot judge them."""
 
-LIMIT = 8.0
-"""Seconds of the processor that a job may take."""
+LIMIT = 8.0  # [s]
 
 _SURE_WITHIN = 0.8
 """Share of the limit in which an oracle that is unsure of a job tries again."""
@@ -44,15 +43,12 @@ _POINT = 3e-3
 """Angle up to which a scene pixel is a point without a doubt [rad]: 1e-5 of its light."""
 
 _MOST_NODES = 3000
-"""Integration nodes along a side of the finest setting."""
 
 Planner = Callable[[Camera, Scene, Embedding, float, Conditions], Plan]
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one job."""
-
     seed: int
     tolerance: float
     effects: tuple[str, ...]
@@ -64,7 +60,6 @@ class Result:
     """Of scene pixels in the corner and in the middle: what cells half as wide and smaller change,
     by how much more they change elsewhere, and what more points in them do; relative L2."""
     finest: float = math.nan
-    """True error with all interference, where the plan reaches nothing."""
     time_over_best: float = 1.0
     """Predicted time over that of the fastest setting of less reach whose true error will do."""
     method: str = ""
@@ -75,7 +70,6 @@ class Result:
 
     @property
     def unjudged(self) -> str:
-        """Why there is no verdict; empty if there is one."""
         if self.refused or self.late:
             return "refused" if self.refused else f"late: {self.late}"
         sure = self.oracle_error <= UNSURE * max(self.predicted, self.true)
@@ -83,7 +77,6 @@ class Result:
 
     @property
     def honest(self) -> bool:
-        """Whether the true error is at most twice the predicted one."""
         return self.true <= 2 * self.predicted
 
     @property
@@ -93,21 +86,12 @@ class Result:
 
     @property
     def reachable(self) -> bool:
-        """Whether full reach gets within the tolerance, or the plan itself does."""
         return self.true <= self.tolerance or self.finest <= self.tolerance
 
 
 def truth(
     job: Job, weights: Array, enough: Callable[[Array], float], *, limit: float = LIMIT
 ) -> tuple[Array, float]:
-    """Exact transfers of masks, and how far they may be off.
-
-    Args:
-        job: whose.
-        weights: masks.
-        enough: error that will do, of the transfers; below it cells and points are made no finer.
-        limit: seconds of the processor for all of a job.
-    """
     optics, amplitudes = light(job), shown(job, weights)
     narrow = optics.y.scene_pixel / job.scene.distance <= _POINT
     finer = (optics.affordable(MOST_WORK) or 1.0) / 2
@@ -143,14 +127,7 @@ def truth(
 
 
 def _better(optics: Light, finer: float, cells: float, few: float) -> list[tuple[Light, float]]:
-    """More points and finer cells, from as many as would do to hardly more.
-
-    Args:
-        optics: what was not enough.
-        finer: and its cells.
-        cells: factor by which these are too coarse: of the fourth power of a side.
-        few: factor by which points in a scene pixel are too few: of the square of their distance.
-    """
+    """More points and finer cells, from as many as would do to hardly more."""
     factor = min(_FINER, max(_COARSER, _SAFE * cells**0.25))
     least = int(few > 1 / 2)
     more = max(least, math.ceil(optics.sources * (min(2.0, math.sqrt(few)) - 1)))
@@ -166,14 +143,7 @@ def _better(optics: Light, finer: float, cells: float, few: float) -> list[tuple
 def _by_finer_cells(
     optics: Light, amplitudes: Array, halves: Array, finer: float
 ) -> tuple[list[int], Array]:
-    """Scene pixels in the corner and in the middle, and their transfers by half as wide cells.
-
-    Args:
-        optics: the job.
-        amplitudes: of one mask.
-        halves: its transfer by cells in halves.
-        finer: the cells.
-    """
+    """Scene pixels in the corner and in the middle, and their transfers by half as wide cells."""
     columns = optics.x.scene_pixels
     pixels = sorted({(0, 0), (optics.y.scene_pixels // 2, columns // 2)})
     picked = [row * columns + column for row, column in pixels]
@@ -182,33 +152,20 @@ def _by_finer_cells(
 
 
 def _elsewhere(ways: list[Array], picked: list[int]) -> float:
-    """How much more cells change all transfers of all masks than some of the first mask's.
-
-    Args:
-        ways: transfers by two ways.
-        picked: scene pixels of the first mask that are looked at closely.
-    """
+    """How much more cells change all transfers of all masks than some of the first mask's."""
     one, other = ways
     here = distance(one[:1, picked], other[:1, picked])
     return distance(one, other) / here if here else 1.0
 
 
 def _by_more_points(optics: Light, amplitudes: Array, found: list[Array], finer: float) -> float:
-    """What more points in the scene pixel in the corner change: relative L2.
-
-    Args:
-        optics: the job.
-        amplitudes: of one mask.
-        found: transfers by cells in one, two, ... parts; the last is looked at.
-        finer: the cells.
-    """
+    """What more points in the scene pixel in the corner change: relative L2."""
     more = replace(optics, sources=optics.sources + 1)
     other = transfer(more, amplitudes, finer=finer, times=len(found), only=(0, 0))
     return distance(found[-1][:1, :1], other)
 
 
 def _work_of_all(optics: Light, finer: float) -> float:
-    """Samples times waves of a transfer and of the doubts about it."""
     pixels = optics.y.scene_pixels * optics.x.scene_pixels
     once, halves, fourths = (optics.work(finer, times) for times in (1, 2, 4))
     checked = min(2, pixels) * fourths + halves * (1 + 1 / optics.sources) ** 2
@@ -216,7 +173,6 @@ def _work_of_all(optics: Light, finer: float) -> float:
 
 
 def computed(chosen: Plan, weights: Array) -> Array:
-    """The plan's transfers of masks, by whatever method."""
     rows, columns = chosen.model.scene.shape
     points = torch.eye(rows * columns, dtype=chosen.operator.dtype).reshape(-1, rows, columns)
     found = []
@@ -228,7 +184,6 @@ def computed(chosen: Plan, weights: Array) -> Array:
 
 
 def measured(chosen: Plan, weights: Array) -> Array:
-    """What the plan's camera reads of a white scene behind each mask."""
     white = torch.ones(1, *chosen.model.scene.shape, dtype=chosen.operator.dtype)
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -237,13 +192,11 @@ def measured(chosen: Plan, weights: Array) -> Array:
 
 
 def distance(values: Array, exact: Array, size: Array | None = None) -> float:
-    """Relative L2, against the norm of ``size`` or of ``exact``."""
     norm = float(np.linalg.norm(exact if size is None else size))
     return float(np.linalg.norm(values - exact)) / (norm or 1.0)
 
 
 def finest(chosen: Plan) -> Plan:
-    """The plan's model with all interference, many samples and in float64."""
     model = chosen.model
     camera, embedding = model.camera, model.embedding
     rows, columns = camera.mask_shape
@@ -264,7 +217,6 @@ def finest(chosen: Plan) -> Plan:
 
 
 def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
-    """Predicted time over that of the fastest plan of less reach that is accurate enough."""
     reach = chosen.model.sampling.reach
     fewer = {
         Reach(rows, columns)
@@ -283,7 +235,6 @@ def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
 
 
 def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float = LIMIT) -> Result:
-    """One job: its plan, and the truth, unless both take longer than ``limit`` [s]."""
     result = Result(seed, job.tolerance, job.effects, job.unaffordable)
     phase, start = "plan", time.process_time()
     try:
@@ -327,7 +278,6 @@ def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float 
 
 
 def judge(seed: int) -> Result:
-    """The job of one seed."""
     return judge_job(draw(seed), seed=seed)
 
 

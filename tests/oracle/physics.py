@@ -39,8 +39,6 @@ class Beam:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of panel, sensor and scene. Lengths in metres."""
-
     apertures: int
     pitch: float
     open_parts: int
@@ -51,33 +49,25 @@ class Axis:
     scene_pixels: int
     scene_pixel: float
     shift: float = 0.0
-    """Of the mask's middle from the sensor's."""
     scene_shift: float = 0.0
-    """Of the scene's middle from the sensor's."""
 
     @property
     def mask(self) -> float:
-        """Length of the mask."""
         return self.apertures * self.pitch
 
 
 @dataclass(frozen=True)
 class Light:
-    """A job: two axes (y, x), the distance from mask to sensor, and the light."""
-
     y: Axis
     x: Axis
     distance: float
     beams: tuple[Beam, ...]
     rotation: float = 0.0
-    """Of the mask, from x towards y [rad]."""
     shares: Array | None = field(default=None, compare=False)
     """Share of each channel in each embedding pixel, (3, rows, columns), instead of the beams'."""
     sources: int = 1
-    """Points along each side of a scene pixel."""
 
     def finest(self, axis: Axis) -> float:
-        """Longest side of a cell that resolves every wave [m]."""
         wanted = math.inf
         for beam in self.beams:
             image = axis.scene_pixel * self.distance / beam.scene_distance
@@ -90,11 +80,9 @@ class Light:
         return min(wanted, self.distance / 6, axis.sensor / axis.pixels / 8)
 
     def cells(self, axis: Axis, finer: float = 1.0, times: int = 1) -> int:
-        """Cells in a part of the pitch, in ``times`` equal parts."""
         return times * max(1, math.ceil(axis.pitch / axis.parts / self.finest(axis) * finer))
 
     def lengths(self, finer: float = 1.0, times: int = 1) -> tuple[int, int]:
-        """Samples of mask and sensor together along each axis."""
         found = []
         for axis in (self.y, self.x):
             cell = axis.pitch / axis.parts / self.cells(axis, finer, times)
@@ -102,7 +90,6 @@ class Light:
         return found[0], found[1]
 
     def seen(self, axis: Axis) -> float:
-        """Length of the plane that light is wanted on: the sensor, and a scene pixel's image."""
         image = max(axis.scene_pixel * self.distance / b.scene_distance for b in self.beams)
         length = axis.sensor + image
         if self.rotation:
@@ -110,7 +97,6 @@ class Light:
         return length
 
     def work(self, finer: float = 1.0, times: int = 1) -> float:
-        """Samples times waves."""
         rows, columns = self.lengths(finer, times)
         points = self.y.scene_pixels * self.x.scene_pixels * self.sources**2
         return float(rows) * columns * len(self.beams) * points
@@ -121,11 +107,7 @@ class Light:
 
 
 def extrapolated(larger: Array, smaller: Array, ratio: float) -> Array:
-    """Of transfers by larger and smaller cells, what cells of no size would give.
-
-    A cell's light is right to first order: what is wrong shrinks by the square of the side
-    (Richardson 1911).
-    """
+    """Of transfers by larger and smaller cells, what cells of no size would give (Richardson)."""
     return smaller + (smaller - larger) / (ratio**2 - 1)
 
 
@@ -137,18 +119,9 @@ def transfer(
     times: int = 1,
     only: tuple[int, int] | None = None,
 ) -> Array:
-    """The transfer matrices of masks.
+    """Transfers of masks (masks, scene pixels, embedding pixels); ``only`` one scene pixel.
 
-    Args:
-        light: the job.
-        amplitudes: what each channel's light passes, (masks, 3, rows, columns).
-        finer: factor on the number of cells.
-        times: parts along each side of such a cell.
-        only: one scene pixel (row, column); None for all.
-
-    Returns:
-        (masks, scene pixels, embedding pixels), relative to the irradiance at the mask's middle of
-        a scene pixel on the axis, times the number of scene pixels.
+    Relative to the irradiance at the mask's middle of a pixel on the axis, times their number.
     """
     y, x = light.y, light.x
     cells_y, cells_x = light.cells(y, finer, times), light.cells(x, finer, times)
@@ -177,7 +150,6 @@ def transfer(
 
 
 def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
-    """Points of a scene pixel [m]."""
     y, x = (
         axis.scene_shift
         + (at - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
@@ -188,10 +160,7 @@ def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
 
 
 def _evened(light: Light, point: tuple[float, float], distance: float) -> float:
-    """Mean brightness of the part of a scene pixel around a point, over the point's own.
-
-    A wide part sends less by Lambert's law, twice the distance and the slant of the mask: cos^4.
-    """
+    """Mean brightness of the part of a scene pixel around a point, over the point's own."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     y, x = (
         (at + axis.scene_pixel / light.sources / 2 * nodes) / distance
@@ -209,7 +178,6 @@ def _flux(
     point: tuple[float, float],
     planes: tuple[tuple[Array, Array], tuple[Array, Array]],
 ) -> Array:
-    """Flux at the points ``seen`` of the mask's own frame, (masks, rows, columns)."""
     k = 2 * math.pi / beam.wavelength
     at, seen = planes
     # The mask's own frame: everything else is turned the other way.
@@ -273,7 +241,6 @@ def _binned(light: Light, beam: Beam, flux: Array, seen: tuple[Array, Array]) ->
 
 
 def _turned(y: Array | float, x: Array | float, angle: float) -> tuple[Array, Array]:
-    """(y, x) turned by ``angle`` from x towards y."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return y * cosine + x * sine, x * cosine - y * sine  # type: ignore[return-value]
 
@@ -297,7 +264,6 @@ def _trapezoids(axis: Axis, image: float, middle: Array | float, at: Array, widt
 
 
 def _openings(axis: Axis, cells: int) -> Array:
-    """1 in the cells of each aperture, (cells, apertures)."""
     first = (axis.parts - axis.open_parts) * cells // 2
     one = np.zeros(axis.parts * cells)
     one[first : first + axis.open_parts * cells] = 1
@@ -306,7 +272,6 @@ def _openings(axis: Axis, cells: int) -> Array:
 
 
 def _positions(axis: Axis, cell: float) -> Array:
-    """Of the mask's cells [m]."""
     cells = round(axis.pitch / axis.parts / cell)
     # Where the closed part is odd, openings are half a cell too low among their cells.
     late = (axis.parts - axis.open_parts) * cells % 2 * cell / 2

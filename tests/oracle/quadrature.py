@@ -15,23 +15,12 @@ import numpy.typing as npt
 from .physics import Array, Axis, Light
 
 Nodes = tuple[Array, Array]
-"""Positions and weights."""
 
 
 def transfer(
     light: Light, amplitudes: Array, *, nodes: tuple[int, int, int], pixel: tuple[int, int]
 ) -> Array:
-    """The irradiance in every embedding pixel of one scene pixel's light.
-
-    Args:
-        light: the job.
-        amplitudes: what each channel's light passes, (masks, 3, rows, columns).
-        nodes: along a side of an aperture, of an embedding pixel and of a scene pixel.
-        pixel: the scene pixel (row, column).
-
-    Returns:
-        (masks, embedding pixels), as :func:`tests.oracle.physics.transfer` has them.
-    """
+    """The irradiance in every embedding pixel of one scene pixel's light."""
     found = np.zeros((len(amplitudes), light.y.pixels, light.x.pixels))
     hole_y, hole_x = _holes(light.y, nodes[0]), _holes(light.x, nodes[0])
     sensor_y, sensor_x = _sensor(light.y, nodes[1]), _sensor(light.x, nodes[1])
@@ -71,20 +60,17 @@ def transfer(
 
 
 def _holes(axis: Axis, nodes: int) -> Nodes:
-    """Nodes of every aperture of the mask, before it is turned [m]."""
     middles = (np.arange(axis.apertures) - (axis.apertures - 1) / 2) * axis.pitch + axis.shift
     return _nodes(middles, axis.pitch * axis.open_parts / axis.parts, nodes)
 
 
 def _sensor(axis: Axis, nodes: int) -> Nodes:
-    """Nodes of every embedding pixel; weights are shares of a pixel."""
     side = axis.sensor / axis.pixels
     at, weights = _nodes((np.arange(axis.pixels) - (axis.pixels - 1) / 2) * side, side, nodes)
     return at, weights / side
 
 
 def _source(axis: Axis, nodes: int, pixel: int) -> Nodes:
-    """Nodes of a scene pixel; weights are shares of it."""
     middle = (pixel - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
     at, weights = _nodes(np.array([middle]), axis.scene_pixel, nodes)
     return at, weights / axis.scene_pixel

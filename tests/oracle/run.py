@@ -24,11 +24,9 @@ from benchmarks.figures import FiguresOption, check_record, record
 from .judge import Result, judge
 
 LEAST_ERROR = 1e-7
-"""Smaller ones are rounding: they are drawn and divided by as this."""
 
 
 def figures_of(results: Sequence[Result]) -> dict[str, float]:
-    """The record's figures; NaN where no job says anything."""
     judged = [result for result in results if not result.unjudged]
     reached = [result.reached_ratio for result in judged if result.reached]
     sharp = [max(r.predicted, LEAST_ERROR) / max(r.true, LEAST_ERROR) for r in judged]
@@ -47,12 +45,10 @@ def figures_of(results: Sequence[Result]) -> dict[str, float]:
 
 
 def reasons(results: Sequence[Result]) -> Counter[str]:
-    """How many are not judged, by why."""
     return Counter(result.unjudged for result in results if result.unjudged)
 
 
 def draw_chart(results: Sequence[Result], path: Path) -> None:
-    """True over predicted error of every job that is judged."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
@@ -79,7 +75,6 @@ def draw_chart(results: Sequence[Result], path: Path) -> None:
 
 
 def kept(path: Path) -> dict[int, Result]:
-    """Results that are there already, by seed; a line that was cut off is done again."""
     found = {}
     for line in path.read_text().splitlines() if path.exists() else []:
         try:

@@ -26,7 +26,6 @@ FAR = 1e3
 
 
 def hole(width: float, distance: float, *, sensor: float, pixels: int) -> Light:
-    """One square hole, one scene point far away."""
     axis = Axis(1, width, 1, 1, sensor, pixels, 1, 1e-6)
     return Light(axis, axis, distance, (Beam(0, WAVELENGTH, FAR, 1.0),))
 
@@ -155,7 +154,6 @@ def test_reading_saturates_is_lifted_and_rounded() -> None:
 
 
 def _ordinary() -> Job:
-    """Apertures of 20 um that blur and interfere 2 mm before the sensor."""
     panel = Panel(4, 4, 25e-6, 25e-6, 20e-6, 20e-6, filter_cycle=())
     camera = Camera(panel, Window(4, 4, 0, 0), Sensor(30, 30, 5e-6), distance=2e-3)
     fills = (5, 4), (5, 4)
@@ -163,7 +161,6 @@ def _ordinary() -> Job:
 
 
 def test_lying_planner_is_caught() -> None:
-    """The cheapest plan as the most accurate one: neither honest, nor has it reached anything."""
 
     def boast(
         camera: Camera, scene: Scene, embedding: Embedding, tolerance: float, conditions: Conditions
@@ -222,7 +219,6 @@ def test_jobs_without_a_judgement_are_counted_apart() -> None:
 
 
 def test_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line that was cut off is judged again; the others are not."""
     judged: list[int] = []
 
     def quick(seed: int) -> Result:

@@ -43,7 +43,6 @@ AXE = files("axe_playwright_python").joinpath("axe.min.js").read_text()
 WIDE: ViewportSize = {"width": 1200, "height": 900}
 PHONE: ViewportSize = {"width": 360, "height": 740}
 
-
 PORTS = range(16_384, 32_768)
 """Below those that a system gives to whoever asks for any: no connection has one of these, so that
 nothing takes the daemon's while it is down."""
@@ -58,8 +57,6 @@ def free_port() -> int:
 
 @dataclass
 class Daemon:
-    """A simulated camera that looks by itself, and wants tokens."""
-
     folder: Path
     port: int = field(default_factory=free_port)
     _started: ExitStack = field(default_factory=ExitStack)
@@ -136,7 +133,6 @@ def log_in(page: Page, token: str) -> None:
 
 
 def confirm(page: Page, asked: str, answer: str | None = None) -> None:
-    """Press a button that asks again, and say what a person says to that."""
     page.get_by_role("button", name=asked).click()
     page.get_by_role("dialog").get_by_role("button", name=answer or asked).click()
 
@@ -148,14 +144,12 @@ def begin_calibration(page: Page) -> None:
 
 
 def end_calibration(page: Page) -> None:
-    """End it, and wait until the camera is ready."""
     confirm(page, "End it")
     expect(page.get_by_text("The calibration was ended")).to_be_visible()
     expect(page.locator("#state")).to_have_text("Ready")
 
 
 def listening(page: Page) -> None:
-    """Wait until a page shows what there is, and is told of all that happens from then on."""
     expect(page.locator("h1")).to_be_visible()
     expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
 

@@ -60,7 +60,6 @@ async ({url, half}) => {
 }
 """
 
-
 Server = tuple[str, list[str]]
 
 
@@ -103,7 +102,6 @@ def other() -> Iterator[Server]:
 
 @pytest.fixture
 def page(chromium: Browser, logged_in: StorageState, other: Server) -> Iterator[Page]:
-    """The other server's page, in a browser that is logged in."""
     context = chromium.new_context(storage_state=logged_in)
     page = context.new_page()
     page.goto(other[0])

@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def command() -> list[str]:
-    """What `make serve` runs, on a free port and with the Python of the tests."""
     shown = subprocess.run(
         ["make", "--dry-run", "--always-make", f"--directory={ROOT}", "serve"],
         capture_output=True,

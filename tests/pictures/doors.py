@@ -33,27 +33,12 @@ Door: TypeAlias = Callable[[str, bytes], "npt.NDArray[np.float64] | str"]
 What it warns of goes to ``warnings`` of :class:`Doors`.
 """
 DOORS = ("fit", "scenes", "rest")
-MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".webp": "image/webp",
-    ".bmp": "image/bmp",
-    ".gif": "image/gif",
-    ".tif": "image/tiff",
-    ".tiff": "image/tiff",
-}
+MEDIA_TYPES = {f".{kind}": f"image/{kind}" for kind in ("png", "webp", "bmp", "gif", "tiff")}
+MEDIA_TYPES |= {".jpg": "image/jpeg", ".tif": "image/tiff"}
 FILLER = np.tile(np.linspace(0, 255, SIDE).astype(np.uint8), (SIDE, 1))
 
 
 class Doors:
-    """All three, with one app behind the last.
-
-    Args:
-        folder: to write files into.
-        put: sends a request to the app.
-        held: gives what the app's camera looks at.
-    """
-
     def __init__(
         self,
         folder: Path,
@@ -62,7 +47,6 @@ class Doors:
     ) -> None:
         self._folder, self._put, self._held = folder, put, held
         self.warnings: list[str] = []
-        """Of the last picture."""
         self._own = folder / "own"
         for label in "ab":
             (self._own / label).mkdir(parents=True)
@@ -72,7 +56,6 @@ class Doors:
         (folder / "scenes").mkdir()
 
     def __call__(self, door: str, name: str, content: bytes) -> npt.NDArray[np.float64] | str:
-        """Bring a picture in by a door."""
         self.warnings = []
         doors: dict[str, Door] = {"fit": self._fit, "scenes": self._scenes, "rest": self._rest}
         return doors[door](name, content)
@@ -124,7 +107,6 @@ class Doors:
 
 @contextmanager
 def open_doors(folder: Path) -> Iterator[Doors]:
-    """Yield the doors; the app runs in another thread until they close."""
     bundle = folder / "tiny.veilcam"
     write_bundle(bundle, make_bundle())
     scene = folder / "first.png"

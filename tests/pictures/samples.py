@@ -20,7 +20,6 @@ GRAY = (1.0, 0.8, 0.4, 0.0)
 COLOURS = ((255, 255, 255), (255, 0, 0), (0, 255, 0), (0, 0, 0))
 LUMA = (1.0, 0.299, 0.587, 0.0)
 FINE = (1.0, 0.5, 0.5 + 300 / 65535, 0.0)
-"""Two levels that 8 bits do not tell apart."""
 
 Pixels = npt.NDArray[Any]
 
@@ -38,14 +37,12 @@ class Sample:
 
 
 def squares(levels: Any) -> Pixels:
-    """Return four squares of numbers or of colours."""
     cells = np.asarray(levels)
     cells = cells.reshape(2, 2, *cells.shape[1:])
     return cells.repeat(SIDE // 2, 0).repeat(SIDE // 2, 1)
 
 
 def saved(pixels: Pixels | Image.Image, kind: str, **options: Any) -> bytes:
-    """Return the content of a file that Pillow writes."""
     image = pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)
     stream = io.BytesIO()
     image.save(stream, kind, **options)
@@ -53,24 +50,20 @@ def saved(pixels: Pixels | Image.Image, kind: str, **options: Any) -> bytes:
 
 
 def chunk(name: bytes, data: bytes) -> bytes:
-    """Return a chunk of a PNG file."""
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def png(columns: int, rows: int, bits: int, kind: int, lines: bytes) -> bytes:
-    """Return a PNG file of any header, whether Pillow writes such or not."""
     header = struct.pack(">IIBBBBB", columns, rows, bits, kind, 0, 0, 0)
     parts = (chunk(b"IHDR", header), chunk(b"IDAT", zlib.compress(lines)), chunk(b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def entry(tag: int, kind: int, count: int, value: bytes) -> bytes:
-    """Return an entry of a directory in EXIF data of little endian."""
     return struct.pack("<HHI", tag, kind, count) + value.ljust(4, b"\0")
 
 
 def exif(orientation: int) -> bytes:
-    """Return EXIF data whose GPS version is text, where bytes belong."""
     first = struct.pack("<H", 2) + entry(0x0112, 3, 1, struct.pack("<H", orientation))
     first += entry(0x8825, 4, 1, struct.pack("<I", 38)) + struct.pack("<I", 0)
     gps = struct.pack("<H", 1) + entry(0x0000, 2, 1, b"\0") + struct.pack("<I", 0)
@@ -78,12 +71,10 @@ def exif(orientation: int) -> bytes:
 
 
 def with_exif(jpeg: bytes, data: bytes) -> bytes:
-    """Return a JPEG file with EXIF data in it."""
     return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(data) + 2) + data + jpeg[2:]
 
 
 def turned(pixels: Pixels) -> Pixels:
-    """Return pixels as a file stores them whose orientation is 6."""
     return np.ascontiguousarray(np.rot90(pixels, 1))
 
 
@@ -100,7 +91,6 @@ def tiff(pixels: Pixels, tags: dict[int, int]) -> bytes:
 
 
 def levels(picture: npt.NDArray[np.float64]) -> list[float]:
-    """Means of the middles of the four squares."""
     half = picture.shape[0] // 2
     starts = (half // 4, half + half // 4)
     return [
@@ -111,7 +101,6 @@ def levels(picture: npt.NDArray[np.float64]) -> list[float]:
 
 
 def make_samples() -> tuple[Sample, ...]:
-    """Return all samples, the same in every run."""
     gray = np.round(255 * squares(GRAY)).astype(np.uint8)
     colour = squares(COLOURS).astype(np.uint8)
     fine = np.round(65535 * squares(FINE)).astype(np.uint16)

@@ -63,9 +63,7 @@ STRESS: Mapping[str, Run] = {
 }
 ROWS = {**ATTACKS, **STRESS}
 MEASURES = ("siege_status_p99_ms", "siege_log_bytes_per_s", "siege_rss_growth_mb")
-"""Figures that are no counts."""
 OF_KEYS = "epochs_repeated"
-"""Figure that stands among those of keys, too."""
 
 
 @dataclass(frozen=True, slots=True)

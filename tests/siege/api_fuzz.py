@@ -48,19 +48,15 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import read_bundle
 
-EVENTS, LISTENED = 2048, 0.5
-"""Longest part of an event stream that is read [bytes, s]."""
+EVENTS, LISTENED = 2048, 0.5  # [bytes, s] of a stream that are read
 RAW_BUDGET = 200
 """Embeddings that may leave raw behind one mask: so few that all masks are spent on the way."""
 BUNDLE_BYTES = 1_000_000
-"""Size above which files of a state directory are bundles."""
 TAKING = ("/v1/captures", "/v1/classifications")
-"""Routes whose answers hold embeddings."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
 EXPECTED = {200, 201, 401, 403, 404, 405, 422}
 """Statuses without which too little was asked."""
 DRAWN = "drawn-keys"
-"""File with the keys of a daemon's epochs."""
 
 # Made-up bytes, as for every file.
 schemathesis.serializer.alias([BUNDLE_MEDIA_TYPE, NPY_MEDIA_TYPE], "application/octet-stream")
@@ -87,16 +83,6 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
 
 @dataclass
 class Findings:
-    """Answers of one daemon.
-
-    Attributes:
-        defects: 5xx other than a documented 503.
-        undocumented: statuses, media types and shapes that the document does not name.
-        left: all contents that left, and the place of each.
-        sealed: sealed embeddings, by epoch and number.
-        made: tokens that were made meanwhile; each left once, in the answer that made it.
-    """
-
     statuses: Counter[int] = field(default_factory=Counter)
     defects: list[str] = field(default_factory=list)
     undocumented: list[str] = field(default_factory=list)
@@ -113,10 +99,7 @@ class Findings:
 
 
 class Fuzz:
-    """Caller of one daemon, who checks every answer against its document.
-
-    The caller ``everything`` has every scope and sends ``more`` times as much as another.
-    """
+    """Caller of one daemon, who checks every answer against its document."""
 
     def __init__(
         self, url: str, callers: Mapping[str, str | None], examples: int, more: int
@@ -147,7 +130,6 @@ class Fuzz:
                         self.send(name, method, None, url=url)
 
     def _come_and_go(self, name: str, bundle: bytes | None) -> None:
-        """Pair a receiver twice, look for it, and remove it twice; upload and use a bundle."""
         guest = ReceiverKey.generate().public
         question, path = {"label": "guest", "key": str(guest)}, "/v1/receivers"
         self.send(name, "POST", path, json=question)
@@ -193,7 +175,6 @@ class Fuzz:
     def _complaint(
         self, method: str, path: str | None, answer: requests.Response, content: bytes
     ) -> str | None:
-        """Return what the document does not say of this answer."""
         media_type = answer.headers.get("content-type", "").partition(";")[0]
         if path is None:
             right = answer.status_code in (401, 403, 404, 405, 422)

@@ -20,22 +20,13 @@ Kind = Literal["silent", "headers", "body", "half handshake"]
 """Habit of a socket: nothing, a header or body byte by byte, or half of a TLS handshake."""
 INTERVALS = (0.5, 3.0, 4.5, 9.0)
 """Times between two bytes [s], drawn for each connection: common deadlines, and just under them."""
-AGAIN = 1.0
-"""Pause before a dropped socket is opened anew [s]."""
-BODY = 1_000_000
-"""Length that a body claims to have [bytes]."""
+AGAIN = 1.0  # [s]
+BODY = 1_000_000  # [bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """Sockets that are held open at once.
-
-    Attributes:
-        sockets: number of sockets; they take the kinds, sources and tokens in turn.
-        seconds: time for which dropped sockets are opened anew [s].
-        lingering: time for which the rest is kept after that [s].
-        tokens: tokens of bodies; None for none.
-    """
+    """Sockets that are held open at once."""
 
     address: Address
     sockets: int
@@ -112,7 +103,6 @@ def attack(tell: Connection, plan: Attack) -> None:
 
 
 def head(address: Address, method: str, path: str, **headers: object) -> bytes:
-    """Return the bytes of a request up to its body; ``_`` stands for ``-`` in names."""
     told = {"Host": urlsplit(address.url).netloc, **address.headers}
     told |= {name.replace("_", "-"): str(value) for name, value in headers.items()}
     lines = (f"{method} {path} HTTP/1.1", *(f"{name}: {told[name]}" for name in told), "", "")

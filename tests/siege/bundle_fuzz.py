@@ -37,12 +37,10 @@ from veilcam_server.masks.source import MaskSource
 from veilcam_training.bundle import Bundle, read_bundle
 
 KEY = EpochKey(bytes(32), device="0f" * 32, bundle="0f" * 32)
-SLOW = 10.0
-"""Longest time of one file [s]."""
+SLOW = 10.0  # [s]
 MEMORY = 768 * 2**20
 """Most memory of one file, beside that of the process [bytes]."""
 BATCH = 100
-"""Files of one child."""
 
 
 def source_of(bundle: Bundle) -> MaskSource:
@@ -144,7 +142,6 @@ class Outcome:
 def try_all(
     seeds: Sequence[int], data: Sequence[bytes], work: Path, attempt: Attempt = try_one
 ) -> Outcome:
-    """Try all files; a child that dies or hangs is replaced, and its file counted as a crash."""
     outcome, left = Outcome(), list(seeds)
     while left:
         with child(try_some, left[:BATCH], data, work, attempt) as (_, told):

@@ -17,7 +17,6 @@ from veilcam_server.settings import Settings
 
 NAME = f"{__name__}:serve"
 STREAMS = 3
-"""Event streams that are open at most, whoever opened them."""
 NAMES = 3
 """Names of epochs that there are, so that whoever looks three times has seen each."""
 

@@ -18,7 +18,6 @@ import httpx
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 ATTACKER, NEIGHBOUR = "127.0.0.1", "127.0.0.2"
-"""Addresses that requests come from."""
 PATIENCE = 60.0
 """Longest wait for an answer [s]: a busy machine is no daemon that hangs."""
 
@@ -34,7 +33,6 @@ class Reply:
     seconds: float = 0.0
 
     def json(self) -> Any:
-        """Return the decoded body; raises :class:`ConnectionError` where there is no answer."""
         if self.status == 0:
             raise ConnectionError(f"no answer to {self.question} in {self.seconds:.1f} s")
         return json.loads(self.body)

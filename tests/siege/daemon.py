@@ -31,7 +31,6 @@ from veilcam_server.settings import Settings
 from veilcam_server.system import logs
 
 FILES = 1024
-"""Files that a process may open unless it asks for more: the soft limit of Debian."""
 START_LIMIT = 300.0
 """Longest wait for a daemon to listen [s]: ten of work, on a machine that has others to do."""
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x0002_0000, 0x1000_0000
@@ -48,7 +47,6 @@ FORKS.set_forkserver_preload(
 
 @contextmanager
 def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BaseProcess, Connection]]:
-    """Yield a process that runs ``target(connection, *given)``, and the end to hear it; kill it."""
     hear, tell = FORKS.Pipe(duplex=False)
     process = FORKS.Process(target=target, args=(tell, *given))
     process.start()
@@ -63,15 +61,6 @@ def child(target: Callable[..., None], *given: object) -> Iterator[tuple[BasePro
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circumstances:
-    """Surroundings of a daemon.
-
-    Attributes:
-        log: file or device of its log; beside its state by default.
-        disk: size of a disk under state and log that it alone sees [bytes]; None for none.
-        full: whether that disk is full before the start.
-        clock: shift of its wall clock [s], which may jump.
-    """
-
     log: Path | None = None
     disk: int | None = None
     full: bool = False
@@ -84,8 +73,6 @@ class NoDiskError(StartError):
 
 @dataclass
 class Daemon:
-    """Running daemon; ``state`` and ``log`` are paths as this process sees them."""
-
     address: Address
     state: Path
     log: Path
@@ -150,10 +137,7 @@ def _live(
 
 
 def _mount(folder: Path, size: int) -> None:
-    """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees.
-
-    A user without the right to mount does so in a name space of users, if the kernel allows that.
-    """
+    """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees."""
     library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")
     try:
@@ -178,7 +162,6 @@ def _check(result: int) -> None:
 
 
 def fill(folder: Path) -> Path:
-    """Take all the room that is left on a folder's disk; return the file that takes it."""
     ballast = folder / "ballast"
     for block in (65_536, 64):
         with suppress(OSError), ballast.open("ab", buffering=0) as stream:

@@ -29,10 +29,8 @@ from veilcam_client.wire.rotation import EverySeconds
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 
-CALIBRATION = 300.0
-"""Longest wait for a calibration [s]."""
+CALIBRATION = 300.0  # [s]
 COPY = ".copy"
-"""End of the name of a state file's second copy."""
 SET = EverySeconds(seconds=0.3)
 """Policy that is set over the API: not the one that the daemon is started with."""
 BUDGET, MOST = 1, 50
@@ -40,7 +38,6 @@ BUDGET, MOST = 1, 50
 
 Trial: TypeAlias = tuple[str, tuple[Path, ...], Callable[[bytes], bytes]]
 """Name, paths in the state directory, and damage to their content."""
-
 
 BARS = {
     "starts refused": "starts_refused",
@@ -100,7 +97,6 @@ async def _faults(
 
 
 async def _first_life(address: Address, settings: Settings) -> tuple[dict[str, object], list[str]]:
-    """Let a daemon have everything that it can remember; return that, and the epochs shown."""
     digest = (await address.upload(second_bundle(settings))).json()["digest"]
     await pair(address, "archive", ReceiverKey.generate().public)
     await _spend(address)
@@ -140,7 +136,6 @@ async def _kept(address: Address) -> dict[str, object]:
 
 
 def all_trials(state: Path, flips: int) -> Iterator[Trial]:
-    """Yield every way to damage every file alone, and a file together with its copy."""
     yield "nothing damaged", (), lambda content: content
     files = [path.relative_to(state) for path in sorted(state.rglob("*")) if path.is_file()]
     for path in files:
@@ -154,7 +149,6 @@ def all_trials(state: Path, flips: int) -> Iterator[Trial]:
 
 
 def sample(trials: list[Trial], extent: Extent) -> list[Trial]:
-    """Return the first trial, which damages nothing, and as many others as there is time for."""
     others = random.Random(0).sample(trials[1:], min(extent.starts, len(trials)) - 1)
     return [trials[0], *others]
 

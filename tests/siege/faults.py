@@ -18,8 +18,7 @@ from tests.siege.ground import (
 
 from veilcam_server.errors import StartError
 
-ROOM = 2 << 20
-"""Free room on a disk before it is filled [bytes]."""
+ROOM = 2 << 20  # [bytes]
 BACK = 90.0
 """Longest way back to ``ready`` once a cause is gone [s]: growing pauses end at a minute."""
 FAULTS = "/v1/simulation/faults"
@@ -54,7 +53,6 @@ async def full_disk(ground: Ground, judgement: Judgement, *, at_start: bool) -> 
 
 
 async def full_log(ground: Ground, judgement: Judgement) -> None:
-    """Give a log that takes nothing from the start on."""
     settings = ground.settings("full-log")
     [token] = make_tokens(settings, ("owner",))
     with ground.start(settings, token, Circumstances(log=Path("/dev/full"))) as daemon:
@@ -64,7 +62,6 @@ async def full_log(ground: Ground, judgement: Judgement) -> None:
 
 
 async def clock_back(ground: Ground, judgement: Judgement) -> None:
-    """Set the clock back by a year while a daemon runs; start one there; put it right."""
     settings = ground.settings("clock")
     [token] = make_tokens(settings, ("owner",))
     clock = FORKS.Value("d", 0.0)
@@ -95,10 +92,7 @@ async def device_gone(ground: Ground, judgement: Judgement) -> None:
 
 
 async def _endure(judgement: Judgement, daemon: Daemon, when: str, *, bearable: bool) -> None:
-    """Use a daemon in trouble: it may refuse, with a remedy, but not end, or say it is well.
-
-    Where a trouble is ``bearable``, it may be well indeed.
-    """
+    """Use a daemon in trouble: it may refuse, with a remedy, but not end, or say it is well."""
     for _ in range(5):
         await daemon.address.ask("POST", "/v1/classifications", {})
         await daemon.address.ask("POST", "/v1/rotation/advance")

@@ -20,24 +20,13 @@ from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_server.settings import Settings
 
 WHITE, RAW = 1, 4
-"""Budgets: embeddings that may leave behind one mask."""
 RACERS = 4
-"""Callers who capture, and as many who classify."""
 EACH, LIFE, MOST_LIVES = 6, 3.0, 30
 """Most embeddings of a daemon's life, its longest time [s], and lives until all masks are spent."""
 
 
 @dataclass
 class Loot:
-    """Embeddings that left, over all lives.
-
-    Attributes:
-        epochs: number of embeddings in each epoch.
-        masks: number of equal embeddings: without noise, all of one scene behind one mask are
-            equal, in whatever epoch.
-        spent: refusals because all masks are spent.
-    """
-
     epochs: Counter[str] = field(default_factory=Counter)
     masks: Counter[bytes] = field(default_factory=Counter)
     spent: int = 0
@@ -62,7 +51,6 @@ class Loot:
 
 
 async def greedy(ground: Ground, judgement: Judgement) -> None:
-    """Race for white embeddings of fresh masks, then for raw ones of stored masks."""
     lives = max(3, int(ground.extent.seconds / 6))
     given = {"snr_db": math.inf, **UNHINDERED}
     fresh = written(ground.folder / "greedy.veilcam", fresh_bundle())

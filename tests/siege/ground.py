@@ -30,25 +30,20 @@ UNHINDERED = {"rate_limit": 1e6, "rate_burst": 1_000_000, "queue_limit": 64}
 SPARE = 32
 """Event streams that may be open beyond those of honest clients."""
 SHOWN = 20
-"""Most findings that a judgement names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
     sockets: int = 2000
-    seconds: float = 60.0
-    """Length of an attack [s]."""
+    seconds: float = 60.0  # [s]
     lingering: float = 30.0
     """Time in which every socket that dribbles must be dropped [s]."""
     streams: int = 200
     clients: int = 64
     flips: int = 20
-    """Bytes flipped in each state file, one at a time."""
     starts: int = 300
-    """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
-    gone: float = 60.0
-    """Time for which camera and panel are unplugged [s]."""
+    gone: float = 60.0  # [s]
     examples: int = 6
     """Made-up requests of each kind, operation and caller."""
     more: int = 5
@@ -57,13 +52,9 @@ class Extent:
     """Whether callers of each scope send them, to daemons of each form of release, with the demo's
     bundles and with a sensor that sees nothing."""
     files: int = 10_000
-    """Mutated bundles."""
     live: int = 1000
-    """Mutated bundles that are sent to a daemon, too."""
     pictures: int = 2000
-    """Mutated pictures."""
     captures: int = 20_000
-    """Captures on hardware that fails."""
 
 
 QUICK = Extent(
@@ -76,7 +67,6 @@ QUICK = Extent(
     pictures=50,
     captures=60,
 )
-"""Shows that an attack is met; the bars are those of the long form."""
 
 
 @dataclass
@@ -157,21 +147,18 @@ class Ground:
         around: Circumstances | None = None,
         serve: str | None = None,
     ) -> Iterator[Daemon]:
-        """Yield a daemon that listens, addressed with ``token``; raises :class:`StartError`."""
         with started(serve or self.serve, settings, around or Circumstances()) as daemon:
             daemon.address = daemon.address.with_token(token)
             yield daemon
 
     @cached_property
     def shared(self) -> tuple[Settings, Daemon]:
-        """Daemon of all rows that change neither its settings nor its surroundings."""
         settings = self.settings("shared", stream_limit=self.extent.streams + SPARE)
         return settings, self.stack.enter_context(self.start(settings))
 
 
 Run: TypeAlias = Callable[[Ground, Judgement], Awaitable[None]]
 Work: TypeAlias = Callable[[], Awaitable[None]]
-"""One step of a client, which is repeated."""
 
 
 @asynccontextmanager

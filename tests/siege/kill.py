@@ -31,12 +31,10 @@ from veilcam_server.settings import Settings
 
 CALIBRATED, REVOKED, LABELLED = 0.25, 0.5, 0.5
 """Shares of lives with a calibration, of tokens that are revoked, of embeddings with a label."""
-LONGEST = 0.6
-"""Longest life of a daemon after it listens [s]."""
+LONGEST = 0.6  # [s]
 ROUND, COPIED, RESTORED, CLONED = 4, 0, 1, 2
 """Length of a round of lives, and the lives whose state is copied, put back, or cloned."""
 GUESTS = 3
-"""Receivers that come and go, beside the one that always opens."""
 
 
 @dataclass
@@ -100,7 +98,6 @@ class Changes:
                 self.ledger.revoked.add(name)
 
     async def make_token_by_hand(self) -> None:
-        """Make a token as ``veilcamd token create`` does, beside the daemon."""
         settings = self.lineage.settings
         making = asyncio.to_thread(make_tokens, settings, ("by hand",), ("classify",))
         task = asyncio.create_task(making)
@@ -169,7 +166,6 @@ async def killed(ground: Ground, judgement: Judgement) -> None:
     witness, kills, copies = Witness(archive), ground.extent.kills, Counter[int]()
 
     async def live(lineage: Lineage, *, last: bool) -> Life:
-        """Start a daemon, compare it, and change everything at once until it is killed."""
         life, settings = Life(), lineage.settings
         with ExitStack() as stack:
             # A start takes seconds, in which the questions to a twin go on.

@@ -34,7 +34,6 @@ DISTINCT = 5
 NUMBERS = 3
 """Weights in a row, to five digits, that are a leak."""
 DECODERS = 3
-"""Epochs whose decoders are searched, which are large; the masks of all are."""
 
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _HEX = re.compile(rb"[0-9a-fA-F]{24,}")
@@ -42,8 +41,6 @@ _BASE64 = re.compile(rb"[A-Za-z0-9+/_-]{16,}")
 
 
 class Planted:
-    """Secrets, in the forms that they could leave in."""
-
     def __init__(self) -> None:
         self._bytes: dict[bytes, str] = {}
         self._numbers: dict[tuple[str, ...], str] = {}
@@ -143,7 +140,6 @@ def _numbers(content: bytes) -> list[str]:
 
 
 def _forms(content: bytes) -> Iterator[bytes]:
-    """Yield the content itself, and whatever could be written in it as text."""
     yield content
     for match in _HEX.findall(content):
         for start in (0, 1):

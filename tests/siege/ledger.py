@@ -21,21 +21,6 @@ ADVANCE, KEY = "/v1/rotation/advance", "Idempotency-Key"
 
 @dataclass
 class Ledger:
-    """Acknowledged changes, over all lives of a daemon.
-
-    Attributes:
-        policy: rotation policies that may hold: the last acknowledged one, and one under way.
-        active: digests of the bundles that may be active, in the same way.
-        valid: ids of tokens that were made, and whose end was not asked for.
-        revoked: ids of tokens that were revoked.
-        key: idempotency key of the last acknowledged work, and the time of its request on the
-            monotonic clock [s].
-        installed: presence of each bundle, by its digest; None while nobody can tell.
-        paired: presence of each receiver, by its id, in the same way.
-        noted: ids of requests that changed something, which the audit log must name.
-        lost: acknowledgements that the next life did not keep.
-    """
-
     policy: list[object]
     active: list[object]
     valid: set[str] = field(default_factory=set)
@@ -82,7 +67,6 @@ class Ledger:
     def _compared(
         self, what: str, known: dict[str, bool | None], there: set[Any]
     ) -> dict[str, bool | None]:
-        """Return the presence of things that were there, were not, or may have been either."""
         for name, was_there in known.items():
             self._keep(what, was_there in (None, name in there))
         return {name: name in there for name in known}

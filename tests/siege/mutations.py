@@ -26,7 +26,6 @@ def unpack(data: bytes) -> Parts:
 
 
 def pack(parts: Parts, compression: int = zipfile.ZIP_DEFLATED) -> bytes:
-    """Return an archive with these parts, and their digests where the manifest has a place."""
     try:
         manifest = json.loads(parts["bundle.json"])
         for name in manifest["parts"]:
@@ -150,7 +149,6 @@ def manifest(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def manifest_text(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """A ``bundle.json`` that is hardly JSON."""
     parts = unpack(chance.choice(data))
     text = parts["bundle.json"].decode()
     depth = chance.choice((10, 1000, 100_000, 1_000_000))
@@ -248,7 +246,6 @@ def numbers(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 def mixed(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Parts of both modes in one archive."""
     all_parts = [unpack(one) for one in data]
     names = sorted({name for parts in all_parts for name in parts})
     chosen = {}

@@ -72,7 +72,6 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
 
 
 async def foreign_page(ground: Ground, judgement: Judgement) -> None:
-    """Send what a page of another site sends to a daemon without tokens; then the same without."""
     settings = ground.settings("page", auth="none", rotation=RotationOff(), rate_burst=10_000)
     acted: list[str] = []
     idle: list[str] = []

@@ -16,12 +16,10 @@ from tests.pictures.samples import Sample, levels, make_samples
 from tests.siege.ground import Ground, Judgement
 from tests.siege.mutations import cut, flip, splice
 
-HEADERS = 256
-"""Length of the beginning of a picture that its headers are in [bytes]."""
+HEADERS = 256  # [bytes]
 
 
 def renumber(chance: random.Random, data: Sequence[bytes]) -> bytes:
-    """Other numbers where the headers are."""
     content = bytearray(chance.choice(data))
     for _ in range(chance.choice((1, 1, 2, 8))):
         place, size = chance.randrange(min(len(content), HEADERS)), chance.choice((1, 2, 4))

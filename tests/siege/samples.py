@@ -52,10 +52,6 @@ PAIRS = 3
 
 
 def small_bundle(task: str = "mnist") -> Bundle:
-    """Return a bundle of three stored masks, with random classifiers of every kind of layer.
-
-    Of one length of ``task`` masks and classifiers are always the same.
-    """
     with torch.random.fork_rng():
         torch.manual_seed(len(task))
 
@@ -78,7 +74,6 @@ def small_bundle(task: str = "mnist") -> Bundle:
 def fresh_bundle(
     camera: Camera = CAMERA, embedding: Embedding = EMBEDDING, basis: int = 8, snr_db: float = 40.0
 ) -> Bundle:
-    """Return a bundle of fresh masks; its statistics have ``basis`` components."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
         fresh = Fresh(

@@ -59,31 +59,24 @@ from veilcam_server.sealing.identity import DeviceKey
 
 CAMERA, EMBEDDING = Camera(), Embedding(8, 8)
 DIGEST = "0f" * 32
-"""Digest of a bundle that comes from no file."""
 MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
 CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
 SETTLE, TIMEOUT = 1e-3, 0.05
 """Time that the engine grants the crystal, and its longest wait for a frame [s]."""
 FORMS: tuple[Release, ...] = ("sealed", "white")
-"""Forms of release, of one engine after the other."""
 WARM_UP = 0.2
 """Share of the captures after which memory must have stopped growing."""
-GROWTH = 20.0
-"""Most growth of memory after that [MB]."""
+GROWTH = 20.0  # [MB]
 FAULTS = 0.1
-"""Share of captures that meet a fault."""
 KNOWN = (DeviceError, FenceError, NotReadyError)
 
 
 @cache
 def fresh_masks() -> FreshSource:
-    """Return the source of masks of all engines, which takes seconds to build."""
     return FreshSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
 
 
 class CornerLight:
-    """Light of a white scene that carries the mask's first corner, one level to each box."""
-
     def read(self) -> npt.NDArray[np.float32]:
         return np.ones((2, 2), np.float32)
 
@@ -117,12 +110,7 @@ class Rig:
     """Engine on hardware that fails when told; ``tell`` gets every mask before it is shown."""
 
     def __init__(
-        self,
-        directory: Path,
-        receiver: Receiver,
-        *,
-        tell: Callable[[Levels], None],
-        form: Release,
+        self, directory: Path, receiver: Receiver, *, tell: Callable[[Levels], None], form: Release
     ) -> None:
         self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
         # Random faults come in a row, too, and nobody waits here for another attempt.
@@ -231,7 +219,6 @@ class Outcome:
             captured.done()
 
     def _judge(self, captured: Captured, opener: Opener) -> None:
-        """Answer as a request would, and compare what leaves with the mask."""
         assert isinstance(captured, MaskedCapture)
         self.captures += 1
         self.epochs.append(captured.epoch)

@@ -18,17 +18,12 @@ from tests.siege.ground import Ground, Judgement, make_tokens, second_bundle
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 SPREAD = tuple(f"127.0.0.{host}" for host in range(3, 35))
-"""Addresses of an attacker who has several."""
 OTHER_KEYS = 200
-"""Idempotency keys between one and its repetition."""
-QUIET = 5.0
-"""Longest measurement without an attack [s]."""
+QUIET = 5.0  # [s]
 
 
 @dataclass
 class Service:
-    """Replies to honest clients: ``beside`` asks from the attacker's own address."""
-
     neighbour: list[Reply] = field(default_factory=list)
     beside: list[Reply] = field(default_factory=list)
     captures: list[Reply] = field(default_factory=list)
@@ -173,7 +168,6 @@ async def stalled_upload(ground: Ground, judgement: Judgement) -> None:
 
 
 async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
-    """Repeat a key after others of the same and of another caller, and after a restart."""
     settings = ground.settings("keys")
     one, two = make_tokens(settings, ("one", "two"))
     key = {"Idempotency-Key": str(uuid.uuid4())}

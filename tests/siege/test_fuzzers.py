@@ -75,53 +75,53 @@ def test_defects_undocumented_answers_and_leaks_are_noticed(tmp_path: Path) -> N
     assert {leak.partition(": mask ")[2] for leak in leaked} == {"0"}
 
 
+Write = Callable[[Any], bytes]
+
+
 def as_text(levels: Any) -> list[int]:
     return [int(level) for level in levels.ravel()]
 
 
-@pytest.mark.parametrize(
-    "write",
-    [
-        lambda levels: levels.tobytes(),
-        lambda levels: b"..." + levels.ravel()[5:40].tobytes(),
-        lambda levels: np.ascontiguousarray(levels.T).tobytes(),
-        lambda levels: json.dumps(levels.tolist()).encode(),
-        lambda levels: repr(levels.ravel()[7:60].tolist()).encode(),
-        lambda levels: " ".join(map(str, as_text(levels))).encode(),
-        lambda levels: json.dumps((levels.ravel() / 63).tolist()).encode(),
-        lambda levels: repr((levels.ravel() / np.float32(63)).tolist()).encode(),
-        lambda levels: b"x" + levels.tobytes().hex().encode(),
-        lambda levels: levels.tobytes().hex().upper().encode(),
-        lambda levels: b'{"m":"' + base64.b64encode(levels.tobytes()) + b'"}',
-        lambda levels: base64.urlsafe_b64encode(b"a" + levels.tobytes()),
-        lambda levels: b"veilcam_x{m=" + b'"' + str(as_text(levels)).encode() + b'"} 1',
-    ],
+LEVELS: tuple[Write, ...] = (
+    lambda levels: levels.tobytes(),
+    lambda levels: b"..." + levels.ravel()[5:40].tobytes(),
+    lambda levels: np.ascontiguousarray(levels.T).tobytes(),
+    lambda levels: json.dumps(levels.tolist()).encode(),
+    lambda levels: repr(levels.ravel()[7:60].tolist()).encode(),
+    lambda levels: " ".join(map(str, as_text(levels))).encode(),
+    lambda levels: json.dumps((levels.ravel() / 63).tolist()).encode(),
+    lambda levels: repr((levels.ravel() / np.float32(63)).tolist()).encode(),
+    lambda levels: b"x" + levels.tobytes().hex().encode(),
+    lambda levels: levels.tobytes().hex().upper().encode(),
+    lambda levels: b'{"m":"' + base64.b64encode(levels.tobytes()) + b'"}',
+    lambda levels: base64.urlsafe_b64encode(b"a" + levels.tobytes()),
+    lambda levels: b"veilcam_x{m=" + b'"' + str(as_text(levels)).encode() + b'"} 1',
 )
-def test_levels_are_found_however_they_are_written(write: Callable[[Any], bytes]) -> None:
+WEIGHTS: tuple[Write, ...] = (
+    lambda weights: json.dumps(weights.astype(float).tolist()).encode(),
+    lambda weights: str(np.round(weights[0, :5], 6).tolist()).encode(),
+    lambda weights: weights.astype(np.float32).tobytes(),
+    lambda weights: weights.astype(np.float64).tobytes(),
+    lambda weights: base64.b64encode(weights[1:].tobytes()),
+    lambda weights: weights.tobytes().hex().encode(),
+)
+
+
+@pytest.mark.parametrize(
+    ("part", "write"),
+    [*(("levels", write) for write in LEVELS), *(("weights", write) for write in WEIGHTS)],
+)
+def test_levels_and_weights_are_found_however_they_are_written(part: str, write: Write) -> None:
     planted, bundle = Planted(), small_bundle()
     planted.add_bundle(bundle)
-    other = np.random.default_rng(1).integers(0, 64, bundle.pairs[1].levels.shape).astype(np.uint8)
-    assert planted.found_in(write(bundle.pairs[1].levels)) == {"mask 1"}
+    if part == "levels":
+        secret, name = bundle.pairs[1].levels, "mask 1"
+        other: Any = np.random.default_rng(1).integers(0, 64, secret.shape).astype(np.uint8)
+    else:
+        secret, name = bundle.pairs[2].weights["0.weight"], "weights of pair 2, 0.weight"
+        other = secret + 1
+    assert planted.found_in(write(secret)) == {name}
     assert planted.found_in(write(other)) == set()
-
-
-@pytest.mark.parametrize(
-    "write",
-    [
-        lambda weights: json.dumps(weights.astype(float).tolist()).encode(),
-        lambda weights: str(np.round(weights[0, :5], 6).tolist()).encode(),
-        lambda weights: weights.astype(np.float32).tobytes(),
-        lambda weights: weights.astype(np.float64).tobytes(),
-        lambda weights: base64.b64encode(weights[1:].tobytes()),
-        lambda weights: weights.tobytes().hex().encode(),
-    ],
-)
-def test_weights_are_found_however_they_are_written(write: Callable[[Any], bytes]) -> None:
-    planted, bundle = Planted(), small_bundle()
-    planted.add_bundle(bundle)
-    weights = bundle.pairs[2].weights["0.weight"]
-    assert planted.found_in(write(weights)) == {"weights of pair 2, 0.weight"}
-    assert planted.found_in(write(weights + 1)) == set()
 
 
 def test_tokens_and_private_keys_are_found(tmp_path: Path) -> None:
@@ -240,23 +240,35 @@ def test_soak_counts_faults_as_errors_and_starts_engines_again(tmp_path: Path) -
     assert outcome.mixed == outcome.reused == outcome.lost == 0
 
 
-def test_soak_notices_light_of_another_mask(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def shifted(_: object, weights: Any) -> Any:
+    return (weights[1:9, :8].double(),)
+
+
+def fail(*_: object, **__: object) -> None:
+    raise ZeroDivisionError
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "wrong", "counts"),
+    [
+        (soak.CornerLight, "response", shifted, lambda o: o.mixed == o.captures == 10),
+        # The guard accuses most of them.
+        (soak, "CRYSTAL", Crystal(scan=5e-4, settle=0.02), lambda o: o.mixed + o.lost > 0),
+        (MaskedCamera, "capture", fail, lambda o: o.lost == 10),
+    ],
+    ids=["light of another mask", "a panel that settles too slowly", "an unknown exception"],
+)
+def test_soak_notices(
+    *,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    of: object,
+    name: str,
+    wrong: object,
+    counts: Callable[[soak.Outcome], bool],
 ) -> None:
-    def shifted(_: object, weights: Any) -> Any:
-        return (weights[1:9, :8].double(),)
-
-    monkeypatch.setattr(soak.CornerLight, "response", shifted)
-    outcome = soak.soak(tmp_path, 5, faults=0.0)
-    assert outcome.mixed == outcome.captures == 5
-
-
-def test_soak_notices_a_panel_that_settles_too_slowly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(soak, "CRYSTAL", Crystal(scan=5e-4, settle=0.02))
-    outcome = soak.soak(tmp_path, 10, faults=0.0)
-    assert outcome.mixed + outcome.lost > 0  # the guard accuses most of them
+    monkeypatch.setattr(of, name, wrong)
+    assert counts(soak.soak(tmp_path, 10, faults=0.0))
 
 
 def test_soak_notices_keys_and_names_that_come_again(
@@ -275,13 +287,3 @@ def test_soak_notices_keys_and_names_that_come_again(
     outcome = soak.soak(tmp_path / "names", 20, faults=0.0)
     assert outcome.reused > 0
     assert outcome.lost > 0  # the receiver, too, refuses what comes again
-
-
-def test_soak_counts_an_unknown_exception_as_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(MaskedCamera, "capture", fail)
-    assert soak.soak(tmp_path, 3, faults=0.0).lost == 3

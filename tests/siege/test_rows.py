@@ -14,7 +14,6 @@ TINY = Extent(
     sockets=6, seconds=1.0, lingering=1.0, streams=8, clients=4, flips=1, kills=1, gone=0.0
 )
 TOGETHER = ("sockets", "sockets-spread", "streams", "upload")
-"""Rows that share a daemon."""
 MISSED = {
     "page": ["requests of a page act"],
     "sockets": ["left of"],

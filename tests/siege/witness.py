@@ -25,20 +25,6 @@ class Life:
 
 
 class Witness:
-    """Receiver that opens every embedding, and compares it with all that were sealed before.
-
-    Args:
-        key: key of a receiver that the device is paired with in every life.
-
-    Attributes:
-        names: names of all epochs.
-        opened: number of embeddings that were opened.
-        repeated: kinds of repetition: name, sealing key, number within an epoch.
-        unopened: reasons why embeddings were not opened.
-        mixed: epochs with measurements of more than one mask: without noise, all of one scene
-            behind one mask are equal.
-    """
-
     def __init__(self, key: ReceiverKey) -> None:
         self._key, self._opener = key, Opener(key)
         self._seen: set[tuple[str, Hashable]] = set()

@@ -25,8 +25,7 @@ from veilcam_server.security.audit import DONE, REFUSED
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 300.0
 """Longest wait for a page to have made all its requests [s]; they take about 20."""
-LONGEST_ANSWER = 60.0
-"""Longest wait for an answer of the daemon [s]."""
+LONGEST_ANSWER = 60.0  # [s]
 STATE = ("rotation", "bundles", "lease", "calibration", "receivers")
 
 
@@ -41,7 +40,6 @@ class Watched:
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
-        """All that a request could change: mask, policy, bundles, lease, receivers, tokens, log."""
         with httpx.Client(
             base_url=self.url, headers=self.headers, trust_env=False, timeout=LONGEST_ANSWER
         ) as client:

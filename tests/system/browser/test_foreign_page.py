@@ -27,7 +27,6 @@ def program() -> str:
 
 @pytest.fixture(scope="module")
 def daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemons]:
-    """Started when they are asked for, by ``--auth``."""
     with ExitStack() as stack:
 
         @cache

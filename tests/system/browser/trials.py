@@ -65,7 +65,6 @@ def try_page(
 
 
 def try_program(asks: Mapping[str, Ask], at: Watched) -> list[str]:
-    """Send the same requests from a program; returns the names of those that did nothing."""
     idle = []
     with httpx.Client(base_url=at.url, headers=at.headers, trust_env=False, timeout=60) as client:
         for name, ask in asks.items():

@@ -78,7 +78,6 @@ def pip_settings(folder: Path) -> list[str]:
 
 @contextmanager
 def running(buildah: Buildah, container: str) -> Iterator[str]:
-    """Yield the URL of the container's daemon, as its image starts it, on a free port."""
     config = json.loads(
         subprocess.check_output(buildah.command("inspect", "--type", "image", IMAGE))
     )["OCIv1"]["config"]

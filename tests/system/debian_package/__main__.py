@@ -32,9 +32,7 @@ ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "debian"
 TOOLS = {"dpkg-deb": "dpkg", "mmdebstrap": "mmdebstrap", "unshare": "util-linux"}
 FOREIGN_TOOLS = {"arch-test": "arch-test"}
-"""What mmdebstrap wants besides, for a root of another architecture."""
 EMULATED = 20.0
-"""How many times longer an emulated processor takes, at most."""
 CAPTURES = 40
 SUITE = "bookworm"
 """Of the figures of room and time; the older of the two."""

@@ -23,8 +23,7 @@ RECORDING = "etc/veilcam/recording.jsonl"
 COMPILERS = ("gcc", "cc", "g++", "pip", "pip3")
 MOST_MB, MOST_S = 200.0, 60.0
 """On the card beside apt's packages; and until the old release serves again."""
-READ_TIMEOUT = 300.0
-"""Longest wait for an answer, on a busy machine [s]."""
+READ_TIMEOUT = 300.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,7 @@ class Checks:
     folder: Path
     patience: float = 1.0
     figures: dict[str, float] = field(default_factory=dict)
-    """Of room and time."""
     accuracies: dict[str, float] = field(default_factory=dict)
-    """Of each bundle of the demonstration, as the root reads."""
     _before: set[str] = field(default_factory=set)
     _token: str = ""
     _supervisor: Supervisor | None = None
@@ -115,7 +112,6 @@ class Checks:
         return f"accuracy {self.accuracies}, NumPy {there['numpy']} and {here['numpy']}"
 
     def daemon_is_ready(self) -> str:
-        """With the unit's command line, as its user, and a recording for a camera."""
         (self.root.path / RECORDING).write_bytes(self.recording.read_bytes())
         env = self.root.path / ENV
         text = env.read_text().replace("VEILCAM_BUNDLE=", "#VEILCAM_BUNDLE=")

@@ -16,11 +16,7 @@ class EmulationError(Exception):
 
 
 def register(architecture: str, binfmt: Path = BINFMT, rules: Path = RULES) -> None:
-    """Let this machine run an architecture's programs, also within a root of its own.
-
-    What systemd does at boot on a machine that has it. The entry stays until the machine is
-    started anew, as it does there.
-    """
+    """Let this machine run an architecture's programs, also within a root of its own."""
     name = PROCESSORS[architecture]
     rule = rules / f"{name}.conf"
     if not rule.exists():

@@ -12,7 +12,6 @@ from pathlib import Path
 
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = ("systemd", "udev", "python3-numpy", "python3-spidev")
-"""What apt has to bring, as the package depends on it."""
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 DEVICES = {"null": (1, 3), "zero": (1, 5), "full": (1, 7), "random": (1, 8), "urandom": (1, 9)}
 ENVIRONMENT: Mapping[str, str] = {
@@ -25,10 +24,6 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 
 
 def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
-    """Return the archive of a root; made if it is not there.
-
-    With ``ca-certificates`` among its packages it trusts whom this machine trusts.
-    """
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
         part = file.with_suffix(".part.tar")
@@ -48,8 +43,6 @@ def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] 
 
 @dataclass(frozen=True)
 class Root:
-    """A machine as far as its files go; commands in it have no network."""
-
     path: Path
     environment: Mapping[str, str] = field(default_factory=lambda: ENVIRONMENT)
 
@@ -100,7 +93,6 @@ class Root:
         raise AssertionError(f"there is no user {user}")
 
     def files(self) -> set[str]:
-        """Return every path, but for what apt and dpkg keep for themselves."""
         found = set()
         for folder, folders, names in os.walk(self.path):
             here = os.path.relpath(folder, self.path)
@@ -109,7 +101,6 @@ class Root:
         return found
 
     def room(self) -> float:
-        """Return what these files take on the disk, each once [MB]."""
         blocks: dict[int, int] = {}
         for name in self.files():
             status = (self.path / name).lstat()

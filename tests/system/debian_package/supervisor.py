@@ -36,7 +36,6 @@ class Supervisor:
         self._limit = patience * float(self._unit["TimeoutStartSec"][0])
         self._who = root.identity("veilcam")
         self.starts: list[str] = []
-        """Releases, one for each start."""
         self.ready_at = threading.Event()
         self._paused = 0.0
         self._stop = threading.Event()
@@ -69,7 +68,6 @@ class Supervisor:
         return f"unix://{self._root.path / SOCKET}"
 
     def restart(self) -> None:
-        """As ``systemctl restart``: the program is ended, and started without a pause."""
         self.ready_at.clear()
         self._end()
 
@@ -78,10 +76,7 @@ class Supervisor:
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 
     def spent(self) -> float:
-        """Return the processor time of all starts so far, and of the pauses between them [s].
-
-        It is what a start takes on a machine that has nothing else to do.
-        """
+        """Return the processor time of all starts so far, and of the pauses between them [s]."""
         ended = resource.getrusage(resource.RUSAGE_CHILDREN)
         process, running = self._process, 0.0
         if process is not None and process.poll() is None:
@@ -101,7 +96,6 @@ class Supervisor:
                 self._paused += pause
 
     def _once(self) -> bool:
-        """Start it, and wait for its end; return whether it was asked to end."""
         self._beside("ExecStartPre")
         current = self._root.path / "var/lib/veilcam-release/current"
         self.starts.append(current.readlink().name)

@@ -31,7 +31,6 @@ class VersionError(Exception):
 
 
 def parse(asked: str) -> tuple[str, Path]:
-    """Return version and program of ``VERSION=PROGRAM``."""
     version, _, program = asked.partition("=")
     if not program:
         raise VersionError(f"{asked!r} names no program: write it as 3.12=/usr/bin/python3.12")
@@ -46,7 +45,6 @@ def parse(asked: str) -> tuple[str, Path]:
 
 
 def passes(version: str, program: Path, folder: Path) -> bool:
-    """Run the commands in a fresh clone; their output goes to a file beside it."""
     clone = folder / version
     shutil.rmtree(clone, ignore_errors=True)
     subprocess.run(["git", "clone", "--quiet", "--no-local", str(ROOT), str(clone)], check=True)

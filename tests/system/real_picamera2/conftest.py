@@ -28,8 +28,6 @@ os.environ.setdefault("LIBCAMERA_LOG_LEVELS", "*:FATAL")
 
 @dataclass
 class Rig:
-    """Cameras of one kind, and how to make one hang for one wait."""
-
     mode: SensorMode
     open: Callable[[], Any]
     hang: Callable[[Any], None]
@@ -71,8 +69,6 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 
 class Driver:
-    """The driver, and the cameras that it opened."""
-
     def __init__(self, opens: Callable[[], Any], mode: SensorMode) -> None:
         self.cameras: list[Any] = []
 
@@ -87,7 +83,6 @@ class Driver:
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Return once it holds."""
     until = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > until:

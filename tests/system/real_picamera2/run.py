@@ -29,8 +29,7 @@ TESTS, PYTHON = "tests/system/real_picamera2", "build/libcamera/venv/bin/python"
 
 
 def main(
-    *,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    *, figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None
 ) -> None:
     """Build what the tests need, if it is not there, and run them."""
     built = subprocess.run([f"{TESTS}/build.sh", sys.executable], cwd=ROOT, check=False)

@@ -66,7 +66,6 @@ class SharedMemory(Allocator):  # type: ignore[misc]
         self._files: list[int] = []
 
     def allocate(self, libcamera_config: Any, use_case: object) -> None:
-        """Make the buffers of every stream; the pipeline fills the two planes of NV12."""
         self.close()
         for stream in libcamera_config:
             luma = stream.stride * stream.size.height
@@ -91,7 +90,6 @@ class SharedMemory(Allocator):  # type: ignore[misc]
         return self._buffers[stream]
 
     def close(self) -> None:
-        """Close the files; what is mapped stays for as long as somebody holds it."""
         for file in self._files:
             os.close(file)
         self._files, self._buffers, self.maps = [], {}, {}
@@ -102,8 +100,6 @@ class SharedMemory(Allocator):  # type: ignore[misc]
 
 
 class _Mapped:
-    """Access to a buffer, which needs no locking."""
-
     def __init__(self, allocator: SharedMemory, buffer: Any, write: bool) -> None:
         self._map = allocator.maps[buffer]
 
@@ -161,14 +157,11 @@ class RawPicamera2(PlainPicamera2):
 
 
 class RawRequest(CompletedRequest):  # type: ignore[misc]
-    """A frame that tells of exposure and gain what was asked when it was done."""
-
     def __init__(self, request: Any, picam2: RawPicamera2) -> None:
         super().__init__(request, picam2)
         self._told = picam2.told
 
     def get_metadata(self) -> dict[str, Any]:
-        """Return what the pipeline tells, and that."""
         names = ("ExposureTime", "AnalogueGain")
         told = {name: self._told[name] for name in names if name in self._told}
         return {**super().get_metadata(), **told, "DigitalGain": 1.0}
@@ -180,7 +173,6 @@ def _pause(preview: object, request: object) -> None:
 
 @contextmanager
 def instead_of(camera: type[PlainPicamera2]) -> Iterator[None]:
-    """``picamera2.Picamera2`` is ``camera`` for a while."""
     with (
         patch("picamera2.Picamera2", camera),
         patch.object(module, "DmaAllocator", SharedMemory),

@@ -35,11 +35,8 @@ ROOT = Path(__file__).resolve().parents[3]
 IMAGE = Path(__file__).with_name("build-image.sh")
 BUILD = ROOT / "build" / "virtual-machine"
 TOOLS = {"mmdebstrap": "mmdebstrap", "mke2fs": "e2fsprogs", "cpio": "cpio", "xz": "xz-utils"}
-"""Programs, and the Debian packages that have them."""
 FOREIGN_TOOLS = {"arch-test": "arch-test"}
-"""What mmdebstrap wants besides, for a root of another architecture."""
 EXPECTED = 14
-"""Checks; a machine that makes fewer has died on the way."""
 
 console = Console(highlight=False)
 
@@ -53,17 +50,12 @@ class Result:
 
 @dataclass(frozen=True)
 class Machine:
-    """An emulated one, whose serial ports ttyS1 to ttyS3 are there for the checks."""
-
     emulator: str
     package: str
-    """Of Debian, with the emulator."""
     kernel: str
-    """What the kernel is told; first of all, its console."""
     arguments: tuple[str, ...]
     """Of the emulator: processor and serial ports; what ttyS1 takes is the file ``{results}``."""
     figure: str
-    """1 if every check passes in it."""
 
 
 MACHINES: Mapping[Architecture, Machine] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,18 +28,17 @@ def smooth_scenes(scene: Scene, count: int, seed: int) -> Tensor:
 
 
 def bare(pitch: float, aperture: float) -> Panel:
-    """A panel of square sub-pixels without filters."""
     return Panel(
         pitch_y=pitch, pitch_x=pitch, aperture_y=aperture, aperture_x=aperture, filter_cycle=()
     )
 
 
-def relative(value: Tensor, reference: Tensor) -> float:
+def relative(value: Tensor, reference: Tensor | np.ndarray) -> float:
+    reference = torch.as_tensor(reference)
     return float((value - reference).norm() / reference.norm())
 
 
 def assert_same(value: Tensor, reference: Tensor) -> None:
-    """Equal but for rounding."""
     # Sums in float64 of fewer than 1000 terms, in any order: 1000 units of 1.1e-16, ten times over;
     # entries that far below the largest, 1e-2, are sums of terms that cancel.
     torch.testing.assert_close(value, reference, rtol=1e-12, atol=1e-14)

@@ -26,25 +26,20 @@ def test_old_file_stands_until_the_new_one_is_whole(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["file"]
 
 
-@pytest.mark.parametrize("step", ["open", "fsync", "replace"])
-def test_disk_that_refuses_leaves_the_old_file(
+@pytest.mark.parametrize("step", ["open", "fsync", "replace", "writer"])
+def test_disk_that_refuses_and_writer_that_breaks_off_leave_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     path = tmp_path / "file"
     write_whole(path, b"old")
-    monkeypatch.setattr(os, step, fail)
-    with pytest.raises(OSError, match="No space"):
-        write_whole(path, b"new")
-    monkeypatch.undo()
-    assert path.read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["file"]
-
-
-def test_writer_that_breaks_off_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    write_whole(path, b"old")
-    with pytest.raises(ValueError, match="closed"), replacing(path) as stream:
-        stream.close()
+    if step == "writer":
+        with pytest.raises(ValueError, match="closed"), replacing(path) as stream:
+            stream.close()
+    else:
+        monkeypatch.setattr(os, step, fail)
+        with pytest.raises(OSError, match="No space"):
+            write_whole(path, b"new")
+        monkeypatch.undo()
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["file"]
 

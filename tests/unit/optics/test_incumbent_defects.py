@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 import torch
-from tests.unit.optics.tensors import seeded
+from tests.unit.optics.tensors import mask
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
@@ -19,10 +19,6 @@ CAMERA = Camera(
     window=Window(12, 5, 180, 74), sensor=Sensor(760, 1016, pixel=1.55e-6), distance=4e-3
 )
 SCENE, EMBEDDING = Scene(6, 8, 0.06, 0.4), Embedding(5, 7)
-
-
-def weights(camera: Camera = CAMERA) -> Tensor:
-    return torch.rand(camera.mask_shape, generator=seeded(), dtype=torch.float64)
 
 
 def centroid(values: Tensor, grid: Grid) -> tuple[float, float]:
@@ -50,10 +46,10 @@ def test_each_colour_is_propagated_at_its_own_wavelength() -> None:
     panel = dataclasses.replace(CAMERA.panel, filter_cycle=())
     camera = dataclasses.replace(CAMERA, panel=panel)
     light = GridLight(camera, SCENE, 2)
-    psf = light.psf(weights())
+    psf = light.psf(mask(CAMERA))
     for channel, wavelength in enumerate(camera.wavelengths):
         alone = dataclasses.replace(camera, wavelengths=(wavelength,) * 3)
-        same = GridLight(alone, SCENE, 2).psf(weights())
+        same = GridLight(alone, SCENE, 2).psf(mask(CAMERA))
         assert torch.allclose(psf[channel], same[0], rtol=1e-10)
     assert camera.wavelengths[0] > camera.wavelengths[1] > camera.wavelengths[2]
 
@@ -62,18 +58,17 @@ def test_each_colour_is_propagated_at_its_own_wavelength() -> None:
 def test_open_area_is_not_floored(oversampling: float) -> None:
     """Whole samples only would leave 0.77 of the open area."""
     light = GridLight(CAMERA, SCENE, oversampling)
-    mask = light.mask(torch.ones(CAMERA.mask_shape, dtype=torch.float64), 1)
-    power = float(mask.square().sum()) * float(light.mask_grid.pitch_y) ** 2
+    shown = light.mask(torch.ones(CAMERA.mask_shape, dtype=torch.float64), 1)
+    power = float(shown.square().sum()) * float(light.mask_grid.pitch_y) ** 2
     panel = CAMERA.panel
     rows = sum(amplitude > 0 for amplitude in CAMERA.row_amplitudes(1))
     assert power == pytest.approx(rows * 5 * panel.aperture_y * panel.aperture_x, rel=1e-9)
 
 
 def test_dim_mask_stays_dim() -> None:
-    """A pattern divided by its own maximum would show the same light."""
     light = GridLight(CAMERA, SCENE, 1)
-    mask = weights()
-    assert torch.allclose(light.psf(mask / 2), light.psf(mask) / 4, rtol=1e-12)
+    weights = mask(CAMERA)
+    assert torch.allclose(light.psf(weights / 2), light.psf(weights) / 4, rtol=1e-12)
 
 
 def test_weights_at_the_ends_do_not_die() -> None:
@@ -86,7 +81,6 @@ def test_weights_at_the_ends_do_not_die() -> None:
 
 
 def test_every_option_of_the_angular_spectrum_does_something() -> None:
-    """An absorbing boundary that absorbs nothing is an option that lies."""
     grid = Grid.square(64, 64, 4e-6)
     field = torch.ones(64, 64, dtype=torch.complex128)
     base = AngularSpectrum().prepare(grid, grid, 20e-3, 550e-9)(field)

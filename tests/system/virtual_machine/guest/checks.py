@@ -113,7 +113,6 @@ class Checks:
         return "unix and loopback"
 
     def tokens_are_wanted(self) -> str:
-        """The settings of /etc/veilcam/veilcam.env are in force."""
         for url in URLS:
             with Camera(url, max_retries=0) as camera:
                 self._refused(camera)
@@ -295,7 +294,6 @@ class Checks:
     @staticmethod
     @contextmanager
     def _instead(*settings: str, program: str) -> Iterator[None]:
-        """Let the unit run another program in the same sandbox."""
         run("systemctl", "stop", "veilcamd.service")
         DROP_IN.parent.mkdir(parents=True, exist_ok=True)
         paths = f"Environment=PYTHONPATH={os.environ['PYTHONPATH']}"
@@ -312,7 +310,6 @@ class Checks:
 
 
 def main() -> None:
-    """Make all checks."""
     with Path("/dev/ttyS1").open("w") as results:
 
         def report(name: str, passed: bool, detail: str) -> None:

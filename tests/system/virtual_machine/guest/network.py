@@ -13,7 +13,6 @@ UNITS = Path("/etc/systemd/system")
 
 
 def open_to_others(readme: str) -> None:
-    """Make an address, a certificate for it, and the drop-ins; then restart as it says there."""
     _run("busybox", "ip", "address", "add", f"{ADDRESS}/32", "dev", "lo")
     _run(
         *("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"),

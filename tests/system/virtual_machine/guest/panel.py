@@ -26,7 +26,6 @@ SPEED = 15_000_000
 MASKS = 20
 
 Byte = tuple[bool, int]
-"""D/C and eight bits, as the panel sees them."""
 
 
 class Both:
@@ -85,7 +84,6 @@ def shown(passed: list[Byte], tab: str = "green") -> PanelEmulator:
 
 
 def write(log: Path) -> str:
-    """Show masks under every tab and compare all bytes; return what was compared."""
     camera, random = Camera(), np.random.default_rng(5)
     compared = 0
     for name, tab in TABS.items():
@@ -109,7 +107,6 @@ def write(log: Path) -> str:
 
 
 def serve() -> None:
-    """Run the daemon with a panel on the bus beside the emulated one."""
     from veilcam_server.cli import main as cli
 
     def on_both(spi: PanelEmulator, _: object, **more: object) -> ST7735R:
@@ -121,7 +118,6 @@ def serve() -> None:
 
 
 def main() -> None:
-    """Do what the first argument says."""
     if sys.argv[1] == "write":
         print(write(SHARED / "bus"))  # noqa: T201
     else:

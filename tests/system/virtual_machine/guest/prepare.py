@@ -7,14 +7,12 @@ import time
 from pathlib import Path
 
 LABEL = "pinctrl-rp1"
-"""Of the GPIO chip of a Raspberry Pi 5."""
 DATA, RESET = 24, 25
 SPI = Path("/dev/spidev0.0")
 SHARED = Path("/run/panel")
 
 
 def main() -> None:
-    """Make everything that a real device has and a virtual machine has not."""
     _make_lines()
     _run("systemctl", "start", "veilcam-spidev.service")
     _wait_for(SPI)

@@ -26,7 +26,6 @@ OPEN_FOLDERS = tuple(
 OPEN_DEVICES = (Path("/dev/vda"), Path("/dev/ttyS3"), Path("/dev/fuse"))
 OTHERS = (Path("/home/open-to-all"), Path("/tmp/open-to-all"))
 SCRATCH = (Path("/tmp"), Path("/var/tmp"), Path("/dev/shm"))
-"""Where every user may write."""
 PORT = 4711
 _NEW_USER, _NO_RANDOM_ADDRESSES = 0x10000000, 0x0040000
 

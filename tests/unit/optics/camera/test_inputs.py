@@ -39,7 +39,6 @@ def light(**sampling: object) -> LightOperator:
 
 @cache
 def doors_of_masks() -> dict[str, Door]:
-    """Everything public that takes a mask."""
     scenes = torch.ones(1, *SCENE.shape)
     operator = TransferOperator(CAMERA, SCENE, EMBEDDING)
     grid = GridLight(CAMERA, SCENE, 1, dtype=torch.float32)
@@ -69,7 +68,6 @@ def doors_of_masks() -> dict[str, Door]:
 
 @cache
 def doors_of_scenes() -> dict[str, Door]:
-    """Everything public that takes scenes."""
     weights = torch.full(CAMERA.mask_shape, 0.5)
     operator = TransferOperator(CAMERA, SCENE, EMBEDDING)
     coloured = TransferOperator(CAMERA, SCENE, EMBEDDING, colour=True)
@@ -95,7 +93,6 @@ def doors_of_scenes() -> dict[str, Door]:
 
 
 def one_of(shape: tuple[int, ...], value: float) -> Tensor:
-    """Halves, and one ``value`` among them."""
     values = torch.full(shape, 0.5)
     values.view(-1)[1] = value
     return values

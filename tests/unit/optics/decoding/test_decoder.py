@@ -45,7 +45,6 @@ CAMERA, SCENE = Camera(), Scene(9, 8)
 PIXELS = SCENE.rows * SCENE.columns
 DOUBLE = torch.float64
 
-
 STATISTICS = fit_statistics([smooth_scenes(SCENE, 4000, 0)], PIXELS)
 
 

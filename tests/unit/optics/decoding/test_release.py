@@ -25,7 +25,6 @@ SIZE = EMBEDDING.size
 
 
 def key_of(name: str) -> bytes:
-    """A key of its own for every name."""
     return hashlib.sha256(name.encode()).digest()
 
 
@@ -41,7 +40,6 @@ def decoding() -> SceneDecoding:
 
 
 def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder, Tensor]:
-    """Decoder of a random mask, and measurements behind it."""
     weights = torch.from_numpy(to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel))
     decoder = decoding.prepare(weights)
     random = seeded(len(name))

@@ -134,7 +134,6 @@ def test_every_effect_has_a_job_that_calls_for_it() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_effect_changes_the_output_where_it_matters(effect: Effect) -> None:
-    """By hand: with it and without it. The plan's estimate is about what is found."""
     called = CALLED[effect.name]
     model = model_of(called, zones=2)
     # The light is judged by its transfer, one scene pixel lit at a time; the sensor by bright ones.
@@ -185,7 +184,6 @@ ALWAYS = {
 
 @pytest.fixture(scope="module")
 def ordinary() -> dict[str, Assessment]:
-    """What a plan of an ordinary scene says of each effect."""
     return {found.name: found for found in plan(CAMERA, SCENE, EMBEDDING, 1e-2).assessments}
 
 

@@ -24,49 +24,38 @@ SCENE, EMBEDDING = Scene(3, 4, height=0.06), Embedding(4, 5)
 
 @dataclass(frozen=True)
 class Aged(Conditions):
-    """Conditions with a number of their own."""
-
     yellowing: float = 0.0
 
 
 class Yellowing(Effect):
-    """At every stage that an effect may have, by a factor of its own."""
-
     name = "yellowing"
     absent = "as new"
     neutral = MappingProxyType({"yellowing": 0.0})
 
     def reason(self, model: Model) -> str:
-        """How much."""
         return f"yellow by {_share(model):g}"
 
     def shown(self, weights: Tensor, model: Model) -> Tensor:
-        """Amplitudes by (1 - share)."""
         return weights * (1 - _share(model))
 
     def beams(self, beams: list[Beam], model: Model) -> list[Beam]:
-        """Light by (1 - share)^2."""
         return [replace(beam, share=beam.share * (1 - _share(model)) ** 2) for beam in beams]
 
     def fade(self, model: Model) -> Tensor:
-        """Scene pixels by (1 - share)^3."""
         return torch.full(model.scene.shape, (1 - _share(model)) ** 3, dtype=torch.float64)
 
     def collected(self, values: Tensor, axes: tuple[int, ...], model: Model) -> Tensor:
-        """Light on the sensor by (1 - share)^4."""
         assert {values.shape[axis] for axis in axes} & {*EMBEDDING.shape, EMBEDDING.size, 12, 8}
         return values * (1 - _share(model)) ** 4
 
     def electrons(
         self, electrons: Tensor, model: Model, generator: torch.Generator | None
     ) -> Tensor:
-        """Electrons by (1 - share)^5."""
         return electrons * (1 - _share(model)) ** 5
 
     def measurement(
         self, values: Tensor, model: Model, generator: torch.Generator | None
     ) -> Tensor:
-        """Measurements by (1 - share)^6."""
         return values * (1 - _share(model)) ** 6
 
 

@@ -19,7 +19,6 @@ SMALL = Camera(window=Window(rows=2, columns=5))
 
 
 def key_of(number: int) -> bytes:
-    """The key of a number, for tests that need many."""
     return hashlib.sha256(str(number).encode()).digest()
 
 

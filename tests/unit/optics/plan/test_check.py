@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from tests.unit.optics.tensors import mask, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -50,15 +51,10 @@ CONDITIONS = {
 }
 
 
-def mask(camera: Camera) -> Tensor:
-    generator = torch.Generator().manual_seed(5)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
 @cache
 def whole(model: Model) -> Tensor:
     """Every entry, by the check's own field; several tests compare with the same."""
-    field = FullField(model, mask(model.camera))
+    field = FullField(model, mask(model.camera, 5))
     # Entries of one row or column share a factor: computed for each, as draws of a check do, they
     # take five times as long.
     field._products = cache(field._products)  # type: ignore[method-assign]
@@ -69,10 +65,6 @@ def whole(model: Model) -> Tensor:
     )
 
 
-def relative(value: Tensor, truth: Tensor) -> float:
-    return float((value.double() - truth).norm() / truth.norm())
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["filters", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CAMERAS)[1:])]
@@ -80,7 +72,7 @@ def relative(value: Tensor, truth: Tensor) -> float:
 def test_field_of_a_check_is_that_of_the_reference(name: str) -> None:
     """The reference's cells are converged to some millionths: finer where fringes are."""
     camera, oversampling = CAMERAS[name], {"near": 96, "fine": 48}.get(name, 16)
-    truth = reference_transfer(camera, SCENE, EMBEDDING, mask(camera), oversampling=oversampling)
+    truth = reference_transfer(camera, SCENE, EMBEDDING, mask(camera, 5), oversampling=oversampling)
     assert relative(whole(Model(camera, SCENE, EMBEDDING, PARAXIAL)), truth) < 3e-5
 
 
@@ -94,7 +86,7 @@ def test_field_of_a_check_counts_every_effect(name: str) -> None:
     )
     model = Model(camera, SCENE, EMBEDDING, conditions, sampling)
     with torch.no_grad():
-        operated = LightOperator(model)(mask(camera))
+        operated = LightOperator(model)(mask(camera, 5))
     found = whole(replace(model, sampling=Sampling()))
     assert relative(found, operated) < 1e-5
     without = whole(Model(camera, SCENE, EMBEDDING, PARAXIAL))
@@ -109,8 +101,8 @@ def test_whole_error_is_within_the_interval(name: str, tolerance: float) -> None
     """One interval of twenty may miss: what has to hold for all is three times as wide."""
     camera = CAMERAS[name]
     chosen = plan(camera, SCENE, EMBEDDING, tolerance)
-    true = relative(chosen.transfer(mask(camera)), whole(chosen.asked))
-    found = chosen.check(mask(camera), entries=40)
+    true = relative(chosen.transfer(mask(camera, 5)), whole(chosen.asked))
+    found = chosen.check(mask(camera, 5), entries=40)
     assert found.entries == 40
     assert found.low < found.error < found.high
     reach = 3 * math.log(found.high / found.error)
@@ -124,9 +116,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
     """Of 400 draws, CONFIDENCE; chance takes three of a hundred away, two standard deviations."""
     camera = CAMERAS[name]
     scene, embedding = Scene(4, 4, height=0.06), Embedding(9, 11)
-    truth = reference_transfer(camera, scene, embedding, mask(camera), oversampling=16).numpy()
+    truth = reference_transfer(camera, scene, embedding, mask(camera, 5), oversampling=16).numpy()
     chosen = plan(camera, scene, embedding, 5e-2, PARAXIAL)
-    computed = chosen.transfer(mask(camera)).double().numpy()
+    computed = chosen.transfer(mask(camera, 5)).double().numpy()
     true = float(np.linalg.norm(computed - truth) / np.linalg.norm(truth))
     chances = chances_of(computed)
     held, logs = 0, []
@@ -162,16 +154,16 @@ def test_stray_light_is_spread_by_the_plans_own_mean() -> None:
     conditions = Conditions(off_axis=0.0, imperfections=Imperfections(stray_light=0.3))
     camera = CAMERAS["filters"]
     chosen = plan(camera, SCENE, EMBEDDING, 1e-2, conditions)
-    found = chosen.check(mask(camera), entries=8)
+    found = chosen.check(mask(camera, 5), entries=8)
     assert found.error < 1e-2
     ignored = LightOperator(replace(chosen.model, conditions=PARAXIAL))
-    assert replace(chosen, model=ignored.model).check(mask(camera), entries=8).error > 3e-2
+    assert replace(chosen, model=ignored.model).check(mask(camera, 5), entries=8).error > 3e-2
 
 
 def test_draws_repeat_and_seeds_differ() -> None:
     camera = CAMERAS["filters"]
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)
-    one, again, other = (chosen.check(mask(camera), entries=8, seed=seed) for seed in (1, 1, 2))
+    one, again, other = (chosen.check(mask(camera, 5), entries=8, seed=seed) for seed in (1, 1, 2))
     assert one == again != other
     assert "8 entries" in str(one)
 
@@ -180,15 +172,15 @@ def test_checks_that_cannot_be_are_refused() -> None:
     camera = CAMERAS["filters"]
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)
     with pytest.raises(OpticsError, match="entries"):
-        chosen.check(mask(camera), entries=7)
+        chosen.check(mask(camera, 5), entries=7)
     with pytest.raises(OpticsError, match=r"weights\.shape"):
         chosen.check(torch.rand(3, 3))
     turned = Conditions(imperfections=Imperfections(rotation=1e-3))
     with pytest.raises(OpticsError, match="rotation"):
-        replace(chosen, asked=replace(chosen.asked, conditions=turned)).check(mask(camera))
+        replace(chosen, asked=replace(chosen.asked, conditions=turned)).check(mask(camera, 5))
     near = replace(chosen.asked, camera=replace(camera, distance=1e-7))
     with pytest.raises(OpticsError, match="field values"):
-        replace(chosen, asked=near).check(mask(camera))
+        replace(chosen, asked=near).check(mask(camera, 5))
 
 
 @pytest.mark.slow
@@ -196,4 +188,4 @@ def test_check_takes_fewer_entries_where_each_is_dear(monkeypatch: pytest.Monkey
     monkeypatch.setattr(checking, "_WORK", checking._WORK / 6)
     camera = replace(CAMERAS["near"], distance=40e-6)
     chosen = plan(camera, SCENE, EMBEDDING, 5e-2)
-    assert 8 <= chosen.check(mask(camera), entries=400).entries < 400
+    assert 8 <= chosen.check(mask(camera, 5), entries=400).entries < 400

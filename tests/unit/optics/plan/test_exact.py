@@ -149,7 +149,6 @@ def test_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
 
 @pytest.mark.parametrize("embedding", [Embedding(3, 4), Embedding(3, 7), Embedding(3, 20)])
 def test_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -> None:
-    """Its offsets are among the others', and their light is the same."""
     model = Model(small(), Scene(6, 5, height=0.02), embedding, PARAXIAL)
     model = model.with_sampling(reach=Reach(2, 1), step=1e-6)
     whole = Probe(model)
@@ -189,10 +188,7 @@ def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
 
 
 def test_errors_of_one_sign_add_up() -> None:
-    """One dark pixel 1.1 mm behind two apertures of 15 um, in light of 8.4 and 12 um.
-
-    What is read at the middle, a curved wave and large angles all make it brighter.
-    """
+    """One dark pixel 1.1 mm behind two apertures of 15 um, in light of 8.4 and 12 um."""
     panel = replace(bare(24.3e-6, 24.3e-6 * 3 / 5), rows=2, columns=1)
     camera = Camera(
         panel=panel,

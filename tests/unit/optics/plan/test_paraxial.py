@@ -44,12 +44,10 @@ def narrow(distance: float, tangent: float = 0.01) -> Scene:
 
 
 def chosen_by(job: Job, method: Method | None = None) -> Plan:
-    """A job's plan."""
     return plan(job.camera, job.scene, job.embedding, job.tolerance, job.conditions, method=method)
 
 
 def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
-    """Predicted and true error of a job's plan."""
     chosen = chosen_by(job, method)
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: chosen.error / 4)
@@ -179,10 +177,7 @@ def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
     method: Method,
     least: float,
 ) -> None:
-    """Beside a shadow Fresnel's flux is that of exact waves several times over, or a thousand.
-
-    A large error is a large one: within the oracle's thirty times, not "worse than all light".
-    """
+    """Beside a shadow Fresnel's flux is that of exact waves several times over, or a thousand."""
     panel = bare(50e-6, 40e-6)
     shadowed = replace(camera(50e-6, (1, 1), 6e-6, distance, wavelength), panel=panel)
     moved = Conditions(imperfections=Imperfections(shift_y=moved_y, shift_x=moved_x))

@@ -42,7 +42,6 @@ SOME = Conditions(
 
 @pytest.fixture(scope="module")
 def of_some() -> Plan:
-    """A plan to one in a thousand under many conditions."""
     return plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
 
 
@@ -50,7 +49,6 @@ def of_some() -> Plan:
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-3, 3e-4])
 @pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
-    """Against direct integration of the whole field, for masks that the plan has not seen."""
     camera = replace(CAMERA, panel=panel)
     chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
     masks = [mask(camera, seed) for seed in (11, 12)]
@@ -76,7 +74,6 @@ def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
 
 
 def test_dials_that_are_cheaper_would_not_have_done() -> None:
-    """By hand: every smaller reach is outside the tolerance."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
     fine = chosen.model.with_sampling(reach=Reach(11, 5), step=1e-6, dtype=torch.float64)
     finest = LightOperator(fine)(mask(CAMERA))
@@ -91,7 +88,6 @@ def test_dials_that_are_cheaper_would_not_have_done() -> None:
 
 @pytest.mark.slow
 def test_operator_learns_through_a_plan() -> None:
-    """A mask is fitted to a transfer; the plan's operator passes the gradient."""
     chosen = plan(
         CAMERA,
         SCENE,
@@ -238,15 +234,11 @@ def test_matrices_that_do_not_fit_are_not_formed() -> None:
 
 
 def test_batch_moves_work_to_where_it_is_cheaper() -> None:
-    """One scene behind a mask is not worth a matrix; many are."""
     scene = Scene(60, 60, height=0.06)
     few, many = (plan(CAMERA, scene, Embedding(24, 32), 1e-2, batch=n) for n in (1, 5000))
     assert many.model.sampling.method == "transfer"
     assert few.cost.step_ms < many.cost.step_ms
     assert few.model.sampling.method == "factors"
-
-
-def test_batch_of_none_is_named() -> None:
     with pytest.raises(OpticsError, match="batch = 0"):
         plan(CAMERA, SCENE, EMBEDDING, 1e-2, batch=0)
 
@@ -268,7 +260,6 @@ def test_explanation_says_what_was_chosen(of_some: Plan) -> None:
 
 
 def test_costs_count_what_is_computed() -> None:
-    """More of anything costs more, and a matrix is not free."""
     plain = Model(CAMERA, SCENE, EMBEDDING, IDEAL, Sampling(reach=Reach(0, 0)))
     least = cost(plain, 64).step_ms
     for dearer in (
@@ -309,7 +300,6 @@ def test_command_refuses_bad_input(arguments: list[str], message: str) -> None:
 
 
 def test_plan_holds_no_mask() -> None:
-    """A mask is a secret: it is not in what a plan prints of itself."""
     chosen: Plan = plan(CAMERA, SCENE, EMBEDDING, 1e-1)
     chosen.embed(torch.ones(1, 5, 4), mask(CAMERA))
     assert "tensor(" not in repr(chosen)
@@ -346,7 +336,6 @@ def test_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
 
 
 def _open(centres: tuple[float, ...], width: float, side: float) -> float:
-    """Share of a line of length ``side`` around the axis that is open."""
     ends = [
         (max(-side / 2, centre - width / 2), min(side / 2, centre + width / 2))
         for centre in centres

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from scipy.special import fresnel
+from tests.unit.optics.tensors import relative
 from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
@@ -17,17 +18,11 @@ from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
 from veilcam_optics.propagation.sampling import Grid, coverage
 
 Field = npt.NDArray[np.complex128]
-WAVELENGTH = 550e-9
-
-
-def relative(got: Tensor, wanted: Tensor | np.ndarray) -> float:
-    wanted = torch.as_tensor(wanted)
-    return float((got - wanted).norm() / wanted.norm())
+WAVELENGTH, WAIST = 550e-9, 20e-6
+RAYLEIGH = math.pi * WAIST**2 / WAVELENGTH
 
 
 def box(grid: Grid, half_y: float, half_x: float) -> Tensor:
-    """A rectangular aperture by area."""
-
     def one(count: int, pitch: float, half: float) -> Tensor:
         ends = torch.tensor([half], dtype=torch.float64)
         return coverage(-ends, ends, count, pitch)[0]
@@ -132,25 +127,23 @@ def test_arago_spot() -> None:
     assert float(spot[10, 4]) < 0.5 * wanted
 
 
+def gaussian(grid: Grid, z: float) -> Tensor:
+    """Waist, curvature and Gouy phase of a beam (Siegman, Lasers, chapter 17)."""
+    squared = grid.y().square()[:, None] + grid.x().square()
+    q = 1 + 1j * z / RAYLEIGH
+    return torch.exp(-squared / (WAIST**2 * q)) / q
+
+
 @pytest.mark.parametrize(
     ("method", "rayleigh_ranges"),
     [(AngularSpectrum(), 0.2), (AngularSpectrum(guard=1), 1.0), (AngularSpectrum(guard=3), 3.0)],
     ids=repr,
 )
 def test_gaussian_beam(method: AngularSpectrum, rayleigh_ranges: float) -> None:
-    """Waist, curvature and Gouy phase (Siegman, Lasers, chapter 17), in the complex field."""
-    waist = 20e-6
-    rayleigh = math.pi * waist**2 / WAVELENGTH
-    distance = rayleigh * rayleigh_ranges
+    distance = RAYLEIGH * rayleigh_ranges
     source = Grid.square(40, 41, 3.6e-6)
     target = Grid(61, 60, 3e-6, 2.5e-6, centre_x=4e-6)
     assert method.supports(source, target, distance, WAVELENGTH)
-
-    def gaussian(grid: Grid, z: float) -> Tensor:
-        squared = grid.y().square()[:, None] + grid.x().square()
-        q = 1 + 1j * z / rayleigh
-        return torch.exp(-squared / (waist**2 * q)) / q
-
     got = method.prepare(source, target, distance, WAVELENGTH)(gaussian(source, 0))
     assert relative(got, gaussian(target, distance)) < 3e-3
 

@@ -30,7 +30,6 @@ def noise(*shape: int, seed: int = 0, dtype: torch.dtype = torch.complex128) -> 
 
 
 def smooth(grid: Grid, width: float, tilt: float = 0.0) -> Tensor:
-    """A tilted Gaussian: known to every method, and small at the edges of the grid."""
     y, x = grid.y()[:, None], grid.x()
     return torch.exp(-(y**2 + (x - width / 3) ** 2) / width**2) * torch.exp(
         1j * tilt * (y + 0.5 * x)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from tests.unit.optics.tensors import mask, relative, seeded
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -25,14 +26,8 @@ SCENE = Scene(rows=3, columns=5, height=0.015, distance=0.3)
 EMBEDDING = Embedding(rows=6, columns=7)
 
 
-def some_weights(camera: Camera = CAMERA, seed: int = 0) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
-
-
-def some_scenes(*shape: int, seed: int = 1) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(shape, generator=generator, dtype=torch.float64)
+def some_scenes(*shape: int) -> Tensor:
+    return torch.rand(shape, generator=seeded(1), dtype=torch.float64)
 
 
 def brute_force(
@@ -42,7 +37,6 @@ def brute_force(
     side, fine = scene.pixel_at_sensor(camera), 1.0e-6
 
     def fields(centres: tuple[float, ...], width: float, at: np.ndarray, wl: float) -> np.ndarray:
-        """Field (points, apertures) of one axis."""
         inside = (np.arange(200) + 0.5) / 200 * width - width / 2
         source = np.array(centres)[:, None] + inside
         phase = np.pi / wl * source**2 / scene.distance
@@ -80,19 +74,14 @@ def brute_force(
     return total
 
 
-def relative(got: Tensor | np.ndarray, wanted: Tensor | np.ndarray) -> float:
-    got, wanted = np.asarray(got), np.asarray(wanted)
-    return float(np.linalg.norm(got - wanted) / np.linalg.norm(wanted))
-
-
 @pytest.fixture(scope="module")
 def reference() -> np.ndarray:
-    return brute_force(CAMERA, SCENE, EMBEDDING, some_weights(), some_scenes(*SCENE.shape))
+    return brute_force(CAMERA, SCENE, EMBEDDING, mask(CAMERA), some_scenes(*SCENE.shape))
 
 
 def error_at(oversampling: float, reference: np.ndarray) -> float:
     light = GridLight(CAMERA, SCENE, oversampling)
-    got = light.embed(some_scenes(*SCENE.shape), light.psf(some_weights()), EMBEDDING)
+    got = light.embed(some_scenes(*SCENE.shape), light.psf(mask(CAMERA)), EMBEDDING)
     return relative(got, reference)
 
 
@@ -116,7 +105,7 @@ def test_filter_keeps_only_its_rows(filters: tuple[int, ...]) -> None:
 
 def test_energy_is_kept_by_propagation() -> None:
     light = GridLight(CAMERA, SCENE, 8)
-    weights = some_weights()
+    weights = mask(CAMERA)
     at_mask = torch.stack([light.mask(weights, c).square().sum() for c in range(3)])
     at_sensor = light.psf(weights).sum((1, 2))
     # A little is diffracted past the grid, none may appear.
@@ -139,7 +128,7 @@ def test_scene_shift_moves_the_image_the_other_way() -> None:
     embedding = Embedding(64, 80)
     camera = dataclasses.replace(CAMERA, sensor=Sensor(320, 400))
     light = GridLight(camera, scene, 2)
-    psf = light.psf(some_weights())
+    psf = light.psf(mask(CAMERA))
     dots = torch.zeros(2, 64, 80, dtype=torch.float64)
     dots[0, 30, 40] = 1
     dots[1, 33, 35] = 1
@@ -157,7 +146,7 @@ def test_symmetric_camera_gives_symmetric_embedding(rows: int, columns: int) -> 
         sensor=Sensor(rows, columns),
     )
     light = GridLight(camera, SCENE, 1.3)
-    weights = some_weights(camera)
+    weights = mask(camera)
     weights = weights + weights.flip(0)
     weights = (weights + weights.flip(1)) / 4
     psf = light.psf(weights)
@@ -171,7 +160,7 @@ def test_symmetric_camera_gives_symmetric_embedding(rows: int, columns: int) -> 
 
 def test_batch_equals_loop_and_colour_sums_to_gray() -> None:
     light = GridLight(CAMERA, SCENE, 1)
-    psf = light.psf(some_weights())
+    psf = light.psf(mask(CAMERA))
     scenes = some_scenes(2, 9, *SCENE.shape)
     batch = light.embed(scenes, psf, EMBEDDING)
     assert batch.shape == (2, 9, 6, 7)
@@ -179,7 +168,7 @@ def test_batch_equals_loop_and_colour_sums_to_gray() -> None:
     colour = light.embed_colour(scenes[:, :, None].expand(-1, -1, 3, -1, -1), psf, EMBEDDING)
     shares = torch.tensor(CAMERA.sensor.channel_weights, dtype=torch.float64)
     assert relative((colour * shares[:, None, None]).sum(-3), batch) < 1e-12
-    gray = light.gray_psf_of_amplitudes(some_weights())
+    gray = light.gray_psf_of_amplitudes(mask(CAMERA))
     assert gray.shape == light.grid.shape
     assert relative(light.embed_gray(scenes, gray, EMBEDDING), batch) < 1e-12
     assert light.embed(scenes[:, :0], psf, EMBEDDING).shape == (2, 0, 6, 7)
@@ -187,7 +176,7 @@ def test_batch_equals_loop_and_colour_sums_to_gray() -> None:
 
 def test_average_over_the_sensor_does_not_depend_on_the_embedding() -> None:
     light = GridLight(CAMERA, SCENE, 1)
-    psf, scene = light.psf(some_weights()), some_scenes(*SCENE.shape)
+    psf, scene = light.psf(mask(CAMERA)), some_scenes(*SCENE.shape)
     one = light.embed(scene, psf, Embedding(1, 1))
     for embedding in (Embedding(7, 11), Embedding(1, 9), Embedding(320, 402)):
         assert float(light.embed(scene, psf, embedding).mean()) == pytest.approx(
@@ -197,7 +186,7 @@ def test_average_over_the_sensor_does_not_depend_on_the_embedding() -> None:
 
 def test_bad_input_is_refused_without_telling_the_weights() -> None:
     light = GridLight(CAMERA, SCENE, 1)
-    secret = some_weights()
+    secret = mask(CAMERA)
     secret[0, 0] = 1.375
     with pytest.raises(OpticsError, match=r"weights hold 1 values outside \[0, 1\]") as caught:
         light.psf(secret)
@@ -206,7 +195,7 @@ def test_bad_input_is_refused_without_telling_the_weights() -> None:
         light.psf(torch.full(CAMERA.mask_shape, float("nan"), dtype=torch.float64))
     with pytest.raises(OpticsError, match=r"weights\.shape"):
         light.psf(secret.mT)
-    psf, scenes = light.psf(some_weights()), some_scenes(3, 5)
+    psf, scenes = light.psf(mask(CAMERA)), some_scenes(3, 5)
     for embed, given, response, wrong in (
         (light.embed, scenes.mT, psf, "scenes"),
         (light.embed, scenes, psf[:1], "psf"),

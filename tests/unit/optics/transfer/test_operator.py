@@ -31,7 +31,6 @@ EMBEDDING = Embedding(rows=4, columns=5)
 def made(
     camera: Camera = SMALL, embedding: Embedding = EMBEDDING, **options: Any
 ) -> TransferOperator:
-    """The operator of the small scene, in double precision."""
     return TransferOperator(camera, SCENE, embedding, dtype=torch.float64, **options)
 
 
@@ -159,7 +158,6 @@ def test_scene_is_seen_inverted() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (3, 4)])
 def test_odd_even_and_single_pixels(shape: tuple[int, int]) -> None:
-    """However the sensor is cut, the pixels' mean is the same light."""
     weights = mask(SMALL)
     whole = made(SMALL, Embedding(1, 1))(weights)
     cut = made(SMALL, Embedding(*shape))(weights)
@@ -335,7 +333,6 @@ def test_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> Non
 
 
 def profiles(transfer: Tensor) -> list[Tensor]:
-    """How the light of a transfer is shared out along y, and along x."""
     shared = (transfer / transfer.sum()).reshape(*SCENE.shape, *EMBEDDING.shape)
     return [shared.sum((1, 3)), shared.sum((0, 2))]
 
@@ -390,7 +387,6 @@ def test_operator_counts_pairs_by_default() -> None:
 
 
 def test_buffers_move_with_the_operator() -> None:
-    """As a module of torch: a type or device that is asked for reaches all of it."""
     operator = TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(3, 1))
     names = {name.partition("_")[0] for name, _ in operator.named_buffers()}
     assert names == {"first", "second", "columns", "rows"}

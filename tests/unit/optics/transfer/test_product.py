@@ -27,8 +27,6 @@ JOBS = 24
 
 @dataclass(frozen=True)
 class Job:
-    """A camera and masks for it, in both libraries."""
-
     operator: TransferOperator
     masks: Tensor
     scenes: Tensor

@@ -13,7 +13,6 @@ from veilcam_optics.transfer.regions import Region, embed_lit
 
 
 def _digits(rows: int = 9, columns: int = 11) -> Tensor:
-    """Scenes of which the outermost pixels, and some inner ones, are black in all."""
     scenes = torch.rand(5, rows, columns, generator=seeded(0))
     scenes[:, :2] = 0
     scenes[:, :, -3:] = 0
