@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import httpx
 import numpy as np
@@ -140,10 +140,7 @@ def make_fresh_bundle() -> Bundle:
 
 
 class FakeDisplay:
-    """Remembers masks, and when all of it was opaque; ``faults`` are taken one for each of these.
-
-    Windows that were made opaque between two masks are counted.
-    """
+    """Remembers masks, and whether it is opaque; ``faults`` are taken one for each mask."""
 
     name = "fake panel"
 
@@ -151,13 +148,11 @@ class FakeDisplay:
         self.resets = 1
         self.shown: list[npt.NDArray[np.uint8]] = []
         self.faults: list[Exception | None] = []
-        self.covers = 0
         self.opaque = self.closed = False
 
     def show(self, levels: npt.NDArray[np.uint8]) -> Shown:
         self.opaque = not levels.any()
         if self.opaque:
-            self.covers += 1
             return Shown(time.monotonic())
         return self._take(levels)
 
@@ -192,7 +187,10 @@ class FakeTest:
 
 
 class FakeSensor:
-    """Reads ones at once; ``early`` [s] makes it start before it may, ``before`` runs first."""
+    """Reads ones at once; ``early`` [s] makes it start before it may, ``before`` runs first.
+
+    ``fault`` is raised instead of a capture, as long as it stands.
+    """
 
     name = "fake sensor"
     full_scale = 1.0
@@ -202,22 +200,20 @@ class FakeSensor:
         self.lights: Callable[[], float] = lambda: 1.0
         """Mean light of a frame that begins now."""
         self.early = 0.0
+        self.fault: Exception | None = None
         self.before: Callable[[], None] = lambda: None
         self.captures = self.guards = 0
         self.closed = False
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         self.before()
+        if self.fault is not None:
+            raise self.fault
         self.captures += 1
         time.sleep(max(0.0, not_before - time.monotonic()))
         now = time.monotonic()
         started = now if not self.early else not_before - self.early
-        return Exposure(
-            self.measurement,
-            started,
-            max(now, started),
-            light=self.seen(),
-        )
+        return Exposure(self.measurement, started, max(now, started), light=self.seen())
 
     def light(self, not_before: float, timeout: float) -> Light:
         self.guards += 1
@@ -276,7 +272,12 @@ class Bench:
         """What holds for an epoch that is prepared now."""
         return Terms(self.release, self.receivers.keys)
 
-    def camera(
+    def preparation(self) -> Preparation:
+        make_directory(self.state_dir)
+        self.budget = ReleaseBudget(self.state_dir, self.raw_budget)
+        return Preparation(self.source, self.key, lambda: self.terms, self.budget)
+
+    def unstarted(
         self,
         *,
         policy: RotationPolicy = OFF,
@@ -284,20 +285,23 @@ class Bench:
         test_every: float = 600.0,
         guard_every: float = 600.0,
     ) -> MaskedCamera:
-        make_directory(self.state_dir)
-        budget = ReleaseBudget(self.state_dir, self.raw_budget)
+        """Return an engine that has shown nothing yet."""
         camera = MaskedCamera(
             Device(self.display, self.sensor, simulated=True),
-            Preparation(self.source, self.key, lambda: self.terms, budget),
+            self.preparation(),
             self.bundle.embedding.shape,
             self.test,
-            budget=budget,
+            budget=self.budget,
             fence=Fence(settle=settle),
             policy=policy,
             test_every=test_every,
             guard_every=guard_every,
         )
         camera.listen(self.note)
+        return camera
+
+    def camera(self, **given: Any) -> MaskedCamera:
+        camera = self.unstarted(**given)
         try:
             camera.rotate()
         except BaseException:
@@ -325,10 +329,7 @@ class Bench:
             camera,
             Identity(
                 DeviceInfo(
-                    display="fake panel",
-                    sensor="fake sensor",
-                    simulated=True,
-                    key=self.key.public,
+                    display="fake panel", sensor="fake sensor", simulated=True, key=self.key.public
                 ),
                 bundles.info,
             ),
@@ -353,10 +354,8 @@ class Bench:
 
     def pair_shown(self) -> int | None:
         """Index of the pair on the panel, None for any other picture."""
-        for index, pair in enumerate(self.bundle.pairs):
-            if np.array_equal(pair.levels, self.display.shown[-1]):
-                return index
-        return None
+        shown = (np.array_equal(pair.levels, self.display.shown[-1]) for pair in self.bundle.pairs)
+        return next((index for index, same in enumerate(shown) if same), None)
 
 
 Running: TypeAlias = Callable[..., AbstractAsyncContextManager[httpx.AsyncClient]]
@@ -407,13 +406,10 @@ def running(bench: Bench) -> Running:
         queue_limit: int = 8,
         settle: float = 0.0,
         raising: bool = True,
-        on: Bench | None = None,
+        on: Bench = bench,
         admission: Admission | None = None,
     ) -> AsyncIterator[httpx.AsyncClient]:
-        chosen = on or bench
-        service = chosen.service(
-            chosen.camera(policy=policy, settle=settle), queue_limit=queue_limit
-        )
+        service = on.service(on.camera(policy=policy, settle=settle), queue_limit=queue_limit)
         app = create_app(service, admission)
         transport = httpx.ASGITransport(app, raise_app_exceptions=raising)
         async with (
