@@ -22,12 +22,7 @@ from tests.unit.server.damage import DAMAGES, flip
 
 from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
 from veilcam_server.system import state_file
-from veilcam_server.system.state_file import (
-    HeldDirectory,
-    StateFile,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.system.state_file import HeldDirectory, StateFile, log_fault, make_directory
 
 
 class Note(BaseModel):

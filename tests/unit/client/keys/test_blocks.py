@@ -211,12 +211,7 @@ def test_unsealed_embedding_is_refused_by_an_opener(epoch: Epoch, receiver: Rece
 def test_classification_is_opened_too(epoch: Epoch, receiver: ReceiverKey) -> None:
     capture = epoch.capture(0)
     found = Classification(
-        id="1",
-        epoch=capture.epoch,
-        number=0,
-        taken_at=AT,
-        label="7",
-        embedding=capture.embedding,
+        id="1", epoch=capture.epoch, number=0, taken_at=AT, label="7", embedding=capture.embedding
     )
     opened = Opener(receiver).open(found)
     assert opened.label == "7"

@@ -88,10 +88,7 @@ def test_signed_text_is_this_and_no_other() -> None:
                 "2b" * 32,
             ],
         ],
-        [
-            *("veilcam log head", 1, device.public, 5, "4d" * 32, 1, 2),
-            "2026-01-02T03:04:05+00:00",
-        ],
+        [*("veilcam log head", 1, device.public, 5, "4d" * 32, 1, 2), "2026-01-02T03:04:05+00:00"],
     ]
 
 
