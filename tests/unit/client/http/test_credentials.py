@@ -82,7 +82,6 @@ def test_authority_that_cannot_be_read_is_named(
         monkeypatch.delenv("VEILCAM_CA_FILE")
 
 
-@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 async def test_stream_ends_with_its_token(daemon: Daemon, kind: type) -> None:
     daemon.first = [problem(401, "unauthorized")]
     stream = camera_of(kind, daemon).events()
