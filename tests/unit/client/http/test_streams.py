@@ -45,19 +45,17 @@ async def collect(
     camera: Any, count: int, last_event_id: str | None = "b-0", reconnect: bool = True
 ) -> list[str]:
     """Epochs, or ``gap``, of the next events."""
-    heard = []
+    heard: list[Any] = []
     stream = camera.events(last_event_id=last_event_id, reconnect=reconnect)
     if isinstance(stream, EventStream):
         with stream:
-            heard += [getattr(each, "epoch", each.kind) for each in islice(stream, count)]
+            heard += list(islice(stream, count))
         assert list(stream) == []
     else:
         async with stream:
-            while len(heard) < count:
-                each = await anext(stream)
-                heard.append(getattr(each, "epoch", each.kind))
+            heard += [await anext(stream) for _ in range(count)]
         assert [each async for each in stream] == []
-    return heard
+    return [getattr(each, "epoch", each.kind) for each in heard]
 
 
 async def test_broken_stream_goes_on_after_the_last_event(both: Both) -> None:
