@@ -12,8 +12,10 @@ from typing import Any
 
 import httpx
 import pytest
+from tests.unit.client.sealing import Device
 
-from veilcam_client import Camera
+from veilcam_client import AsyncCamera, Camera
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire import bundles, lease, rotation, status, tokens, watch
 
 EXAMPLES: dict[str, dict[str, Any]] = {
@@ -161,9 +163,26 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+@pytest.fixture(params=[Camera, AsyncCamera])
+def kind(request: pytest.FixtureRequest) -> type:
+    """Either kind of camera, one after the other."""
+    found: type = request.param
+    return found
+
+
 @pytest.fixture
 def daemon() -> Daemon:
     return Daemon()
+
+
+@pytest.fixture
+def device() -> Device:
+    return Device()
+
+
+@pytest.fixture(scope="session")
+def receiver() -> ReceiverKey:
+    return ReceiverKey.generate()
 
 
 class Handler(BaseHTTPRequestHandler):

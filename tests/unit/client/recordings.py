@@ -44,10 +44,7 @@ class Daemon:
     """Answers so many captures, then 503."""
 
     def __init__(
-        self,
-        captures: int = 100,
-        answers: Callable[[int], dict[str, Any]] = answer,
-        **status: Any,
+        self, captures: int = 100, answers: Callable[[int], dict[str, Any]] = answer, **status: Any
     ) -> None:
         self.status, self.left, self.taken = {**STATUS, **status}, captures, 0
         self.answers, self.verdict = answers, VERDICT

@@ -10,12 +10,11 @@ import pytest
 from tests.unit.client.conftest import Daemon, camera_of, result
 from typer.testing import CliRunner
 
-from veilcam_client import AsyncCamera, Camera, VeilcamError
+from veilcam_client import Camera, VeilcamError
 from veilcam_client.arguments import masked
 from veilcam_client.cli.main import app
 
 pytestmark = pytest.mark.anyio
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 PASSWORD = "hunter2"
 
 
@@ -37,7 +36,6 @@ def test_address_is_shown_without_its_password(address: str, shown: str) -> None
     assert masked(address) == shown
 
 
-@KINDS
 async def test_password_is_sent_and_not_shown(
     daemon: Daemon, kind: type, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -57,7 +55,6 @@ async def test_password_is_sent_and_not_shown(
     assert sent == f"Basic {base64.b64encode(f'user:{PASSWORD}!'.encode()).decode()}"
 
 
-@KINDS
 @pytest.mark.parametrize(
     "address",
     ["ftp://user:{}@h", "http://user:{}@", "http://user:a/{}@h", "user:{}@h", "http://h?key={}"],

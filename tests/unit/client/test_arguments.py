@@ -32,14 +32,12 @@ from veilcam_client import (
 from veilcam_client.keys.receivers import ReceiverKey
 
 pytestmark = pytest.mark.anyio
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 NO_SECONDS = ("5", True, 0, -1.0, math.nan, b"5", [5], 5j)
 NO_COUNTS = ("5", True, -1, 1.5, math.nan, None)
 NO_FLAGS = ("no", 1, None)
 NO_NAMES = (None, 5, "", ".", "..", b"x")
 
 
-@KINDS
 @pytest.mark.parametrize(
     ("name", "values"),
     [
@@ -78,7 +76,6 @@ def test_device_is_named(tmp_path: Path) -> None:
             Camera(key=tmp_path / "key", device=device)  # type: ignore[arg-type]
 
 
-@KINDS
 @pytest.mark.parametrize(
     ("method", "given", "name", "values"),
     [
@@ -136,7 +133,6 @@ def test_numbers_of_numpy_are_numbers(daemon: Daemon) -> None:
     assert camera.hold_scene(np.zeros((2, 2), np.uint8)).scene == 1
 
 
-@KINDS
 async def test_time_without_an_end_is_a_time(daemon: Daemon, url: str, kind: type) -> None:
     endless = math.inf
     camera = kind(url, timeout=endless, connect_timeout=endless, read_timeout=endless)
@@ -150,7 +146,6 @@ def test_key_of_a_receiver_is_not_repeated(daemon: Daemon) -> None:
     assert "c2VjcmV0" not in str(caught.value)
 
 
-@KINDS
 async def test_camera_that_is_closed_says_so(daemon: Daemon, url: str, kind: type) -> None:
     for camera in (kind(url), camera_of(kind, daemon)):
         await result(camera.status())
@@ -204,7 +199,6 @@ def test_sealed_embedding_says_what_opens_it() -> None:
     assert sealed.model_dump()["form"] == "sealed"
 
 
-@KINDS
 async def test_missing_token_is_named(daemon: Daemon, kind: type) -> None:
     refused: list[tuple[httpx.Response, type[VeilcamError]]] = [
         (problem(401, "unauthorized"), UnauthorizedError),

@@ -50,11 +50,6 @@ class Taken:
 
 
 @pytest.fixture(scope="module")
-def receiver() -> ReceiverKey:
-    return ReceiverKey.generate()
-
-
-@pytest.fixture(scope="module")
 def frame() -> SceneFrame:
     return make_frame(Window(rows=9, columns=5))
 

@@ -25,12 +25,8 @@ def info(
     told: Mapping[str, str] | None = None,
 ) -> zeroconf.ServiceInfo:
     told = {"api": "v1", "scheme": "https"} if told is None else told
-    here: dict[str, Any] = {
-        "server": server,
-        "addresses": [b"\x7f\0\0\1"],
-        "properties": dict(told),
-    }
-    return zeroconf.ServiceInfo(TYPE, f"{name}.{TYPE}", port, **here)
+    here: dict[str, Any] = {"addresses": [b"\x7f\0\0\1"], "properties": dict(told)}
+    return zeroconf.ServiceInfo(TYPE, f"{name}.{TYPE}", port, server=server, **here)
 
 
 @pytest.mark.slow
@@ -58,9 +54,7 @@ def test_camera_that_announces_itself_is_found() -> None:
 )
 def test_announcement_of_no_camera_is_left_out(announcement: zeroconf.ServiceInfo) -> None:
     assert _camera(announcement) is None
-
-
-def test_name_says_nothing_to_a_terminal() -> None:
+    # A name says nothing to a terminal.
     found = _camera(info("Hall\x9b2J"))
     assert found == FoundCamera("Hall2J", "https://hall.local:8787")
 

@@ -10,21 +10,10 @@ from tests.unit.client.conftest import camera_of, result
 from tests.unit.client.recordings import Daemon
 from tests.unit.client.sealing import NOTES, VALUES, Device, Epoch
 
-from veilcam_client import AsyncCamera, Camera, KeyFileError, SealedError
+from veilcam_client import KeyFileError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
 
 pytestmark = pytest.mark.anyio
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-
-
-@pytest.fixture(scope="module")
-def receiver() -> ReceiverKey:
-    return ReceiverKey.generate()
-
-
-@pytest.fixture
-def device() -> Device:
-    return Device()
 
 
 @pytest.fixture
@@ -36,7 +25,6 @@ def daemon(device: Device, receiver: ReceiverKey) -> Daemon:
     )
 
 
-@KINDS
 async def test_embeddings_come_open_with_a_key(
     kind: type, daemon: Daemon, device: Device, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
@@ -52,13 +40,11 @@ async def test_embeddings_come_open_with_a_key(
             assert answer.notes == NOTES
 
 
-@KINDS
 async def test_embeddings_stay_sealed_without_a_key(kind: type, daemon: Daemon) -> None:
     taken = await result(camera_of(kind, daemon).capture())
     assert (taken.embedding.form, taken.notes) == ("sealed", None)
 
 
-@KINDS
 async def test_capture_that_comes_twice_or_of_another_camera_is_refused(
     kind: type, device: Device, receiver: ReceiverKey
 ) -> None:
@@ -72,7 +58,6 @@ async def test_capture_that_comes_twice_or_of_another_camera_is_refused(
         await result(pinned.capture())
 
 
-@KINDS
 async def test_unsealed_embedding_is_refused_where_a_key_was_given(
     kind: type, receiver: ReceiverKey, tmp_path: Path
 ) -> None:

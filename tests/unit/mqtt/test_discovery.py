@@ -5,13 +5,9 @@ from __future__ import annotations
 import copy
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
-from jsonschema import (  # type: ignore[import-untyped]
-    Draft202012Validator,
-    ValidationError,
-)
+from jsonschema import Draft202012Validator, ValidationError  # type: ignore[import-untyped]
 
 from veilcam_client.wire.status import example_status
 from veilcam_mqtt.discovery import discovery
@@ -21,10 +17,7 @@ SCHEMA = json.loads((Path(__file__).parent / "discovery_schema.json").read_text(
 NAMES = Names("camera")
 STATUS = example_status()
 PAYLOAD = discovery(STATUS, NAMES)
-
-
-def check(payload: dict[str, Any]) -> None:
-    Draft202012Validator(SCHEMA).validate(payload)
+check = Draft202012Validator(SCHEMA).validate
 
 
 def test_description_is_what_home_assistant_takes() -> None:
@@ -64,10 +57,7 @@ def test_label_may_be_any_of_the_bundle_or_nothing() -> None:
     labels = STATUS.bundle.labels
     assert PAYLOAD["components"]["label"]["options"] == [*labels, "nothing"]
     assert {name: entity["platform"] for name, entity in PAYLOAD["components"].items()} == {
-        "label": "sensor",
-        "confidence": "sensor",
-        "health": "sensor",
-        "mask_age": "sensor",
+        **dict.fromkeys(("label", "confidence", "health", "mask_age"), "sensor"),
         "event": "event",
         "rotate": "button",
         "off": "button",
@@ -75,6 +65,5 @@ def test_label_may_be_any_of_the_bundle_or_nothing() -> None:
 
 
 def test_description_tells_no_secret() -> None:
-    told = json.dumps(PAYLOAD)
-    assert STATUS.device.key not in told
-    assert STATUS.receivers[0].label not in told
+    assert STATUS.device.key not in json.dumps(PAYLOAD)
+    assert STATUS.receivers[0].label not in json.dumps(PAYLOAD)

@@ -122,9 +122,7 @@ def test_event_has_the_type_that_home_assistant_looks_for() -> None:
     }
 
 
-def test_view_reads_nothing_from_the_disk(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_view_reads_nothing_from_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """With every event all of it is put into words: that must not take milliseconds."""
     view = View.of(STATUS, LOOKING, 0.0)
     before = view.messages(NAMES, 0.0)

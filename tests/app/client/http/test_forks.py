@@ -19,7 +19,6 @@ from veilcam_client.wire.base import CALL_HEADER
 
 # From Python 3.12 on, a fork beside a thread is warned of: here that is the case to be tried.
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 ENOUGH = 60.0
 
 
@@ -110,7 +109,6 @@ def run(answer: Any) -> Any:
     return asyncio.run(result(answer))
 
 
-@KINDS
 def test_forked_camera_opens_a_connection_of_its_own(
     heard: Heard, within: Callable[[Any], Any], kind: type
 ) -> None:
@@ -151,7 +149,6 @@ def test_forked_camera_needs_no_lock_of_the_parent(heard: Heard) -> None:
         asking.join()
 
 
-@KINDS
 def test_forked_stream_goes_on_over_a_connection_of_its_own(
     heard: Heard, within: Callable[[Any], Any], kind: type
 ) -> None:
@@ -178,7 +175,6 @@ def test_forked_stream_goes_on_over_a_connection_of_its_own(
     assert len(set(heard.ports)) == 2
 
 
-@KINDS
 def test_client_of_the_caller_is_not_used_on_both_sides_of_a_fork(
     daemon: Daemon, within: Callable[[Any], Any], kind: type
 ) -> None:

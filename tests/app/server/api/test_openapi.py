@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
+from tests.docs.api_reference import PAGE, page
 
 from veilcam_client import Camera
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
@@ -31,17 +32,21 @@ def found(bench: Bench) -> dict[str, Any]:
     return made
 
 
+def operations(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Method with path, and the operation."""
+    for path, methods in found["paths"].items():
+        for method, operation in methods.items():
+            yield f"{method.upper()} {path}", operation
+
+
 def bodies(found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any], str]]:
     """Place, media type, content and description of every body asked for or answered with."""
-    for path, operations in found["paths"].items():
-        for method, operation in operations.items():
-            asked = operation.get("requestBody", {})
-            for media_type, content in asked.get("content", {}).items():
-                yield f"{method} {path}", media_type, content, ""
-            for status, answer in operation["responses"].items():
-                for media_type, content in answer.get("content", {}).items():
-                    place = f"{method} {path} {status}"
-                    yield place, media_type, content, answer["description"]
+    for name, operation in operations(found):
+        for media_type, content in operation.get("requestBody", {}).get("content", {}).items():
+            yield name, media_type, content, ""
+        for status, answer in operation["responses"].items():
+            for media_type, content in answer.get("content", {}).items():
+                yield f"{name} {status}", media_type, content, answer["description"]
 
 
 def test_examples_are_there_and_valid(found: dict[str, Any]) -> None:
@@ -52,7 +57,7 @@ def test_examples_are_there_and_valid(found: dict[str, Any]) -> None:
         if media_type.startswith("text/"):
             assert content["example"], place
             continue
-        if place.startswith("get /v1/openapi.json 2"):
+        if place.startswith("GET /v1/openapi.json 2"):
             continue
         examples = {name: each["value"] for name, each in content.get("examples", {}).items()}
         assert examples, f"{place} has no example: add one to EXAMPLES beside its model"
@@ -69,12 +74,11 @@ def test_examples_are_there_and_valid(found: dict[str, Any]) -> None:
 
 
 def test_every_route_has_a_summary_and_says_what_can_go_wrong(found: dict[str, Any]) -> None:
-    for path, operations in found["paths"].items():
-        for method, operation in operations.items():
-            assert operation["description"].endswith("."), (method, path)
-            documented = ", ".join(each["description"] for each in operation["responses"].values())
-            expected = ALWAYS if "security" in operation else OPEN
-            assert set(expected) <= set(documented.split(", ")), (method, path)
+    for name, operation in operations(found):
+        assert operation["description"].endswith("."), name
+        documented = ", ".join(each["description"] for each in operation["responses"].values())
+        expected = ALWAYS if "security" in operation else OPEN
+        assert set(expected) <= set(documented.split(", ")), name
 
 
 def test_every_reference_leads_somewhere(found: dict[str, Any]) -> None:
@@ -90,13 +94,6 @@ def test_request_examples_are_served(found: dict[str, Any]) -> None:
     assert set(asked["examples"]) == {"RotationOff", "EverySeconds", "EveryCaptures"}
 
 
-def operations(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Method with path, and the operation."""
-    for path, methods in found["paths"].items():
-        for method, operation in methods.items():
-            yield f"{method.upper()} {path}", operation
-
-
 def test_operations_are_called_as_the_sdk_calls_them(found: dict[str, Any]) -> None:
     ids = [operation["operationId"] for _, operation in operations(found)]
     assert len(set(ids)) == len(ids)
@@ -107,6 +104,10 @@ def test_operations_are_called_as_the_sdk_calls_them(found: dict[str, Any]) -> N
         *("page", "docs", "page_file", "healthz", "readyz", "metrics", "openapi", "doctor"),
         *("session", "begin_session", "end_session", "take_scene_away"),
     }
+
+
+def test_page_of_operations_is_that_of_the_document(found: dict[str, Any]) -> None:
+    assert PAGE.read_text() == page(found), "write it anew: python -m tests.docs.api_reference"
 
 
 def test_every_operation_has_a_subject_and_every_subject_operations(found: dict[str, Any]) -> None:

@@ -56,6 +56,8 @@ class Daemon:
 
     def __post_init__(self) -> None:
         self.other = (self.folder / "hall.veilcam").read_bytes()
+        paths = self.document["paths"].values()
+        self.operations = {each["operationId"]: each for path in paths for each in path.values()}
 
     def prepare(self, operation: str) -> None:
         """What must be the case for an operation to do what it says."""
@@ -164,12 +166,7 @@ OPERATIONS = [
 
 def sources(daemon: Daemon, operation: str) -> tuple[dict[str, str], dict[str, Any]]:
     """Both lines by language, and the operation."""
-    (found,) = [
-        each
-        for operations in daemon.document["paths"].values()
-        for each in operations.values()
-        if each["operationId"] == operation
-    ]
+    found = daemon.operations[operation]
     return {each["lang"]: each["source"] for each in found["x-codeSamples"]}, found
 
 
@@ -252,9 +249,4 @@ def test_both_lines_do_what_they_stand_beside(
 
 
 def test_every_operation_is_among_them(daemon: Daemon) -> None:
-    ids = {
-        each["operationId"]
-        for operations in daemon.document["paths"].values()
-        for each in operations.values()
-    }
-    assert ids == set(OPERATIONS)
+    assert set(daemon.operations) == set(OPERATIONS)

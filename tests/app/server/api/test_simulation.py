@@ -114,9 +114,7 @@ async def test_scene_held_up_is_what_captures_see(given: dict[str, Any]) -> None
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_capture_under_way_sees_to_its_end_what_it_began_with(
-    given: dict[str, Any],
-) -> None:
+async def test_capture_under_way_sees_to_its_end_what_it_began_with(given: dict[str, Any]) -> None:
     async with camera({**given, "exposure": EXPOSURE}) as sdk:
         before = np.asarray(await sdk.capture())
         under_way = asyncio.create_task(sdk.capture())

@@ -31,9 +31,10 @@ def drawn() -> Mask:
 
 
 def record(directory: Path) -> dict[str, int]:
-    """What stands on the disk, without the checksum."""
-    counts: dict[str, int] = json.loads((directory / NAME).read_text().splitlines()[1])["counts"]
-    return counts
+    """Counts on the disk, where nothing but marks and numbers is stored beside the checksum."""
+    told: dict[str, dict[str, int]] = json.loads((directory / NAME).read_text().splitlines()[1])
+    assert set(told) == {"counts"}
+    return told["counts"]
 
 
 @pytest.mark.parametrize("mask", [stored, drawn])
@@ -68,12 +69,6 @@ def test_as_many_raw_embeddings_leave_as_the_operator_says(
         budget.spend(one, "raw")
         left += 1
     assert left == raw
-
-
-@pytest.mark.parametrize("mask", [stored, drawn])
-def test_nothing_may_leave_where_nothing_is_released(
-    tmp_path: Path, mask: Callable[[], Mask]
-) -> None:
     assert ReleaseBudget(tmp_path, 5).is_spent(mask(), "none")
 
 
@@ -174,9 +169,3 @@ def test_after_a_loss_every_stored_mask_is_spent_also_after_a_restart(
 def test_number_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="raw = -1 is not valid: use 0 or more"):
         ReleaseBudget(tmp_path, -1)
-
-
-def test_nothing_but_marks_and_numbers_is_stored(tmp_path: Path) -> None:
-    ReleaseBudget(tmp_path, 1).spend(stored(), "raw")
-    line = (tmp_path / NAME).read_text().splitlines()[1]
-    assert json.loads(line) == {"counts": {"a1": 1}}

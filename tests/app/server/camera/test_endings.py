@@ -143,10 +143,7 @@ def test_daemon_that_is_ended(
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt()])
 def test_start_that_is_broken_off_in_the_test(
-    watched: Watched,
-    settings: Settings,
-    monkeypatch: pytest.MonkeyPatch,
-    ending: BaseException,
+    watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch, ending: BaseException
 ) -> None:
     def broken_off(_: object, device: Device, *__: object) -> None:
         device.display.show(np.full((9, 5), 63, np.uint8))

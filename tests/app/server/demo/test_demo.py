@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from typer.testing import CliRunner
 
 from veilcam_server.cli.main import app
+from veilcam_server.demo.daemon import running
 from veilcam_server.errors import StartError
-
-if TYPE_CHECKING:
-    pass
 
 runner = CliRunner()
 
@@ -21,13 +18,8 @@ runner = CliRunner()
 @pytest.mark.thorough
 def test_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = runner.invoke(
-        app,
-        [
-            *("demo", "--bundle", str(bundle_file), "--captures", "12", "--every", "2"),
-            *("--wrong-classifier", "--out", str(out)),
-        ],
-    )
+    given = ["--bundle", str(bundle_file), "--captures", "12", "--every", "2", "--out", str(out)]
+    result = runner.invoke(app, ["demo", "--wrong-classifier", *given])
     assert result.exit_code == 0, result.output
     last = result.stdout.splitlines()[-1]
     found = re.fullmatch(r"accuracy=(\d\.\d{3}) captures=12 masks=([123])", last)
@@ -40,13 +32,8 @@ def test_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = runner.invoke(
-        app,
-        [
-            *("demo", "--fresh", "--bundle", str(fresh_file), "--captures", "6"),
-            *("--out", str(out)),
-        ],
-    )
+    given = ["--bundle", str(fresh_file), "--captures", "6", "--out", str(out)]
+    result = runner.invoke(app, ["demo", "--fresh", *given])
     assert result.exit_code == 0, result.output
     # One mask a capture, none of them twice.
     assert result.stdout.splitlines()[-1].endswith("captures=6 masks=6")
@@ -77,8 +64,6 @@ def test_missing_input_is_named(bundle_file: Path, options: list[str], message: 
 
 @pytest.mark.thorough
 def test_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Path) -> None:
-    from veilcam_server.demo.daemon import running
-
     with (
         pytest.raises(StartError, match="there is no scene file"),
         running(bundle_file, tmp_path / "nothing.npy", tmp_path),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import ssl
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -40,6 +40,16 @@ class Behind:
     """Lets slow requests end."""
     passed: float = 0.0
     """By how much the loop's clock was put on [s]."""
+    clients: ExitStack = field(default_factory=ExitStack)
+
+    def knock(self, said: bytes = b"", source: str = "127.0.0.1") -> socket.socket:
+        """Return a client's socket, bound to an address of loopback, that has sent something."""
+        one = self.clients.enter_context(socket.socket())
+        one.bind((source, 0))
+        one.connect(self.address)
+        one.setblocking(False)
+        one.sendall(said)
+        return one
 
     async def app(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the body and answer; ``/deaf`` does not read it, and ``/late`` does so later."""
@@ -88,7 +98,6 @@ def _length(answer: bytes) -> list[tuple[bytes, bytes]]:
 
 
 Serving: TypeAlias = Callable[..., AbstractAsyncContextManager[Behind]]
-Knock: TypeAlias = Callable[..., socket.socket]
 
 
 @pytest.fixture
@@ -130,24 +139,9 @@ def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
                 server.should_exit = True
                 behind.go.set()
                 await serving
+                behind.clients.close()
 
     return serve
-
-
-@pytest.fixture
-def knock() -> Iterator[Knock]:
-    """A factory of client sockets, bound to an address of loopback, that have sent something."""
-    with ExitStack() as stack:
-
-        def open_one(behind: Behind, said: bytes = b"", source: str = "127.0.0.1") -> socket.socket:
-            one = stack.enter_context(socket.socket())
-            one.bind((source, 0))
-            one.connect(behind.address)
-            one.setblocking(False)
-            one.sendall(said)
-            return one
-
-        yield open_one
 
 
 async def heard(one: socket.socket) -> bytes:

@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
+from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Serving, heard, is_served
 from tests.app.server.security.test_tls import write_pair
 
 from veilcam_server.gate import entrance
@@ -76,29 +76,27 @@ def test_peer_with_most_loses_its_oldest_where_too_many_wait() -> None:
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
-async def test_crowd_that_dribbles_shuts_nobody_out(
-    serving: Serving, knock: Knock, said: bytes
-) -> None:
+async def test_crowd_that_dribbles_shuts_nobody_out(serving: Serving, said: bytes) -> None:
     async with serving(limit=8) as behind:
         for _ in range(50):
-            knock(behind, said)
+            behind.knock(said)
         # From the address of the crowd, and from another one.
         for source in ("127.0.0.1", "127.0.0.2"):
-            assert await is_served(knock(behind, REQUEST, source))
+            assert await is_served(behind.knock(REQUEST, source))
         await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
         assert len(behind.connections) <= 8
 
 
 @pytest.mark.anyio
-async def test_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) -> None:
+async def test_crowd_pushes_out_nobody_else(serving: Serving) -> None:
     async with serving(limit=8) as behind:
         # Slow, but honest, and older than all others.
-        slow = knock(behind, REQUEST[:-2], "127.0.0.2")
+        slow = behind.knock(REQUEST[:-2], "127.0.0.2")
         await behind.until(lambda: behind.connections.of("127.0.0.2"))
-        idle = knock(behind, REQUEST, "127.0.0.3")
+        idle = behind.knock(REQUEST, "127.0.0.3")
         assert await is_served(idle)
         for _ in range(50):
-            knock(behind, b"GET")
+            behind.knock(b"GET")
         await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
         for one, rest in ((slow, REQUEST[-2:]), (idle, REQUEST)):
             one.sendall(rest)
@@ -106,26 +104,26 @@ async def test_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) -> N
 
 
 @pytest.mark.anyio
-async def test_new_connection_is_refused_where_all_is_work(serving: Serving, knock: Knock) -> None:
+async def test_new_connection_is_refused_where_all_is_work(serving: Serving) -> None:
     async with serving(limit=2) as behind:
-        working = [knock(behind, SLOW) for _ in range(2)]
+        working = [behind.knock(SLOW) for _ in range(2)]
         await behind.until(lambda: len(behind.asked) == 2)
-        assert await heard(knock(behind, REQUEST)) == b""
+        assert await heard(behind.knock(REQUEST)) == b""
         assert behind.connections.dropped["refused"] == 1
         behind.go.set()
         for one in working:
             assert await is_served(one)
-        assert await is_served(knock(behind, REQUEST))
+        assert await is_served(behind.knock(REQUEST))
 
 
 @pytest.mark.anyio
 async def test_more_may_wait_than_come_in_at_once(
-    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
+    serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(entrance, "BATCH", 3)
     async with serving(limit=64, waiting=1) as behind:
         # All in the queue of the kernel before the first is accepted.
-        crowd = [knock(behind, REQUEST) for _ in range(7)]
+        crowd = [behind.knock(REQUEST) for _ in range(7)]
         answers = [await heard(one) for one in crowd]
         served = sum(answer.startswith(b"HTTP/1.1 200") for answer in answers)
         assert served + behind.connections.dropped["evicted"] == 7
@@ -156,27 +154,25 @@ async def asks_over_tls(address: tuple[str, int]) -> bool:
 @pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"", b"\x16\x03\x01\x02\x00", REQUEST])
 async def test_crowd_without_tls_shuts_nobody_out(
-    serving: Serving, knock: Knock, tls: ssl.SSLContext, said: bytes
+    serving: Serving, tls: ssl.SSLContext, said: bytes
 ) -> None:
     async with serving(limit=8, tls=tls) as behind:
         for _ in range(30):
-            knock(behind, said)
+            behind.knock(said)
         await behind.until(lambda: all_are_in(behind, 30))
         assert await asks_over_tls(behind.address)
 
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_peers_sent_away_take_no_memory(
-    serving: Serving, knock: Knock, tls: ssl.SSLContext
-) -> None:
+async def test_peers_sent_away_take_no_memory(serving: Serving, tls: ssl.SSLContext) -> None:
     """Not even until the garbage collector comes: it does not know how much 300 kB are."""
     async with serving(limit=4, tls=tls) as behind:
         gc.collect()
         gc.disable()
         try:
             for _ in range(30):
-                knock(behind)
+                behind.knock()
             await behind.until(lambda: all_are_in(behind, 30))
             assert await asks_over_tls(behind.address)
             # Those of the limit, and the client's own; some may be about to go.
@@ -187,10 +183,10 @@ async def test_peers_sent_away_take_no_memory(
 
 @pytest.mark.anyio
 async def test_handshake_that_takes_too_long(
-    serving: Serving, knock: Knock, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
+    serving: Serving, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving(tls=tls, deadlines=Deadlines(headers=0.2, body=600.0)) as behind:
-        assert await heard(knock(behind)) == b""
+        assert await heard(behind.knock()) == b""
         assert behind.connections.dropped["handshake"] == 1
         assert not len(behind.connections)
     assert not caplog.records
@@ -211,10 +207,7 @@ class Broken(socket.socket):
 
 @pytest.mark.anyio
 async def test_accept_that_fails_is_tried_again_after_a_pause(
-    serving: Serving,
-    knock: Knock,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    serving: Serving, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pauses: list[float] = []
     async with serving() as behind:
@@ -239,7 +232,7 @@ async def test_accept_that_fails_is_tried_again_after_a_pause(
             )
             other.open()
             behind.address = listener.getsockname()
-            assert await is_served(knock(behind, REQUEST))
+            assert await is_served(behind.knock(REQUEST))
             other.close()
         assert behind.connections.failures == 3
         assert pauses.count(0.01) == 3
@@ -247,15 +240,13 @@ async def test_accept_that_fails_is_tried_again_after_a_pause(
 
 
 @pytest.mark.anyio
-async def test_waiting_connection_is_sent_away_when_the_gate_closes(
-    serving: Serving, knock: Knock
-) -> None:
+async def test_waiting_connection_is_sent_away_when_the_gate_closes(serving: Serving) -> None:
     async with serving() as behind:
-        idle = knock(behind, REQUEST)
+        idle = behind.knock(REQUEST)
         assert await is_served(idle)
-        working = knock(behind, SLOW)
+        working = behind.knock(SLOW)
         await behind.until(lambda: len(behind.asked) == 2)
-        unfinished = knock(behind, b"GET")
+        unfinished = behind.knock(b"GET")
         await behind.until(lambda: len(behind.connections) == 3)
         behind.server.should_exit = True
         for one in (idle, unfinished):

@@ -6,16 +6,7 @@ import asyncio
 import socket
 
 import pytest
-from tests.app.server.gate.conftest import (
-    POST,
-    REQUEST,
-    SLOW,
-    Behind,
-    Knock,
-    Serving,
-    heard,
-    is_served,
-)
+from tests.app.server.gate.conftest import POST, REQUEST, SLOW, Behind, Serving, heard, is_served
 
 from veilcam_server.api.middleware import security_headers
 from veilcam_server.gate import protocol
@@ -30,22 +21,20 @@ HUNGRY = Deadlines(headers=100 * ENDING, body=ENDING)
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HT", REQUEST[:-2]])
-async def test_headers_that_do_not_come_in_time(
-    serving: Serving, knock: Knock, said: bytes
-) -> None:
+async def test_headers_that_do_not_come_in_time(serving: Serving, said: bytes) -> None:
     async with serving(deadlines=HASTY) as behind:
-        one = knock(behind, said)
+        one = behind.knock(said)
         await behind.until(lambda: len(behind.connections))
         assert await _dribbles_in_vain(behind, one) == "headers"
         assert not behind.asked
 
 
 async def test_headers_of_a_second_request_have_their_own_time(
-    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
+    serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(protocol, "READING_TIME", 100 * ENDING)
     async with serving(deadlines=HASTY) as behind:
-        one = knock(behind, REQUEST)
+        one = behind.knock(REQUEST)
         assert await is_served(one)
         # Idle for longer than headers may take.
         await behind.let_pass(2 * ENDING)
@@ -55,18 +44,18 @@ async def test_headers_of_a_second_request_have_their_own_time(
         assert len(behind.asked) == 2
 
 
-async def test_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) -> None:
+async def test_dribbled_body_reaches_nobody(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
-        one = knock(behind, POST % 1000)
+        one = behind.knock(POST % 1000)
         await behind.until(lambda: len(behind.connections))
         assert await _dribbles_in_vain(behind, one) == "body"
         assert not behind.asked
 
 
-async def test_long_body_that_moves_on_may_take_long(serving: Serving, knock: Knock) -> None:
+async def test_long_body_that_moves_on_may_take_long(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         loop, size = asyncio.get_running_loop(), 20 * PORTION
-        one = knock(behind, POST % size)
+        one = behind.knock(POST % size)
         for _ in range(19):
             await loop.sock_sendall(one, b"a" * PORTION)
             await behind.let_pass(0.5 * ENDING)
@@ -76,20 +65,18 @@ async def test_long_body_that_moves_on_may_take_long(serving: Serving, knock: Kn
         assert not behind.connections.dropped
 
 
-async def test_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -> None:
+async def test_long_body_that_stops_is_ended(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
-        one = knock(behind, POST % (20 * PORTION) + b"a" * 2 * PORTION)
+        one = behind.knock(POST % (20 * PORTION) + b"a" * 2 * PORTION)
         await behind.until(lambda: behind.asked)
         assert await _dribbles_in_vain(behind, one) == "body"
         assert 2 * PORTION <= behind.bodies[0] < 3 * PORTION
 
 
-async def test_body_that_the_application_does_not_read_ends_nobody(
-    serving: Serving, knock: Knock
-) -> None:
+async def test_body_that_the_application_does_not_read_ends_nobody(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         loop, size = asyncio.get_running_loop(), 40 * PORTION
-        one = knock(behind, (POST % size).replace(b"/", b"/late", 1))
+        one = behind.knock((POST % size).replace(b"/", b"/late", 1))
         sending = asyncio.create_task(loop.sock_sendall(one, b"a" * size))
         await behind.until(lambda: behind.asked)
         for _ in range(4):
@@ -100,58 +87,56 @@ async def test_body_that_the_application_does_not_read_ends_nobody(
         assert await is_served(one)
 
 
-async def test_rest_of_a_body_that_is_answered_already(serving: Serving, knock: Knock) -> None:
+async def test_rest_of_a_body_that_is_answered_already(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         size = 20 * PORTION
-        one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
+        one = behind.knock((POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
         assert await is_served(one)
         assert await _dribbles_in_vain(behind, one) == "body"
 
 
-async def test_connection_goes_on_after_the_rest_of_a_body(serving: Serving, knock: Knock) -> None:
+async def test_connection_goes_on_after_the_rest_of_a_body(serving: Serving) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         size = 2 * PORTION
-        one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
+        one = behind.knock((POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
         assert await is_served(one)
         one.sendall(b"a" * PORTION + REQUEST)
         assert await is_served(one)
         assert behind.asked == ["/deaf", "/"]
 
 
-async def test_work_may_take_longer_than_all_deadlines(serving: Serving, knock: Knock) -> None:
+async def test_work_may_take_longer_than_all_deadlines(serving: Serving) -> None:
     async with serving(limit=2, deadlines=Deadlines(ENDING, ENDING)) as behind:
-        one = knock(behind, SLOW)
+        one = behind.knock(SLOW)
         await behind.until(lambda: behind.asked)
         await behind.let_pass(10 * ENDING)
         # Nor is it ended for others.
-        others = [knock(behind) for _ in range(5)]
+        others = [behind.knock() for _ in range(5)]
         assert await heard(others[0]) == b""
         behind.go.set()
         assert await is_served(one)
 
 
-async def test_answer_that_nobody_reads(
-    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_answer_that_nobody_reads(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protocol, "READING_TIME", 0.2)
     async with serving() as behind:
-        knock(behind, REQUEST.replace(b"/", b"/big", 1))
+        behind.knock(REQUEST.replace(b"/", b"/big", 1))
         await behind.until(lambda: behind.connections.dropped["answer"])
         assert not len(behind.connections)
 
 
 async def test_bytes_that_are_no_http_are_answered_and_not_logged(
-    serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
+    serving: Serving, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving() as behind:
-        one = knock(behind, b"\0\r\n\r\n")
+        one = behind.knock(b"\0\r\n\r\n")
         answer = await heard(one)
         assert answer.startswith(b"HTTP/1.1 400 Bad Request\r\n")
         for name, value in security_headers(()).items():
             assert f"\r\n{name}: {value}\r\n".encode() in answer
         assert answer.endswith(b"\r\n\r\nInvalid HTTP request received.")
         upgrade = b"Host: a\r\nConnection: upgrade\r\nUpgrade: websocket"
-        assert await is_served(knock(behind, REQUEST.replace(b"Host: a", upgrade)))
+        assert await is_served(behind.knock(REQUEST.replace(b"Host: a", upgrade)))
     assert not [each for each in caplog.records if "uvicorn" in each.name]
 
 
@@ -166,10 +151,10 @@ FRAMED_TWICE = (
 @pytest.mark.parametrize("body", [b"", b"0\r\n\r\n", b"0\r\n\r\n" + REQUEST])
 @pytest.mark.parametrize("head", FRAMED_TWICE)
 async def test_body_with_two_lengths_is_refused_and_its_connection_closed(
-    serving: Serving, knock: Knock, head: bytes, body: bytes
+    serving: Serving, head: bytes, body: bytes
 ) -> None:
     async with serving() as behind:
-        answer = await heard(knock(behind, head + body))
+        answer = await heard(behind.knock(head + body))
         assert answer.startswith(b"HTTP/1.1 400 Bad Request\r\n")
         assert answer.count(b"HTTP/1.1") == 1
         for name, value in security_headers(()).items():
@@ -186,11 +171,9 @@ UPLOADS = (
 
 
 @pytest.mark.parametrize("header", UPLOADS)
-async def test_upload_can_be_refused_after_its_headers(
-    serving: Serving, knock: Knock, header: bytes
-) -> None:
+async def test_upload_can_be_refused_after_its_headers(serving: Serving, header: bytes) -> None:
     async with serving() as behind:
-        one = knock(behind, b"POST /deaf HTTP/1.1\r\nHost: a\r\n" + header + b"\r\n\r\n")
+        one = behind.knock(b"POST /deaf HTTP/1.1\r\nHost: a\r\n" + header + b"\r\n\r\n")
         answer = await asyncio.get_running_loop().sock_recv(one, 2**16)
         assert answer.startswith(b"HTTP/1.1 200 OK\r\n")
         assert not behind.bodies
@@ -198,10 +181,10 @@ async def test_upload_can_be_refused_after_its_headers(
         assert (b"connection: close" in answer.lower()) is (b"Expect" in header)
 
 
-async def test_body_that_is_waited_for_is_asked_for(serving: Serving, knock: Knock) -> None:
+async def test_body_that_is_waited_for_is_asked_for(serving: Serving) -> None:
     async with serving() as behind:
         loop = asyncio.get_running_loop()
-        one = knock(behind, (POST % 5).replace(b"Host: a", b"Host: a\r\nExpect: 100-continue"))
+        one = behind.knock((POST % 5).replace(b"Host: a", b"Host: a\r\nExpect: 100-continue"))
         assert (await loop.sock_recv(one, 2**16)).startswith(b"HTTP/1.1 100 ")
         await loop.sock_sendall(one, b"hello")
         answer = await loop.sock_recv(one, 2**16)
@@ -211,10 +194,10 @@ async def test_body_that_is_waited_for_is_asked_for(serving: Serving, knock: Kno
 
 
 async def test_body_that_breaks_off_leaves_no_trace(
-    serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
+    serving: Serving, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serving() as behind:
-        one = knock(behind, POST % 1000 + b"a")
+        one = behind.knock(POST % 1000 + b"a")
         await behind.until(lambda: len(behind.connections))
         one.close()
         await behind.until(lambda: not len(behind.connections))
@@ -237,18 +220,16 @@ async def _dribbles_in_vain(behind: Behind, one: socket.socket) -> str:
     return reason
 
 
-async def test_call_with_a_broken_body_is_named_in_the_answer(
-    serving: Serving, knock: Knock
-) -> None:
+async def test_call_with_a_broken_body_is_named_in_the_answer(serving: Serving) -> None:
     named = b"Veilcam-Call: " + b"0f" * 16 + b"\r\n"
     head = b"POST / HTTP/1.1\r\nHost: a\r\n" + named
     async with serving() as behind:
-        broken = knock(behind, head + b"Transfer-Encoding: chunked\r\n\r\nno number\r\n")
+        broken = behind.knock(head + b"Transfer-Encoding: chunked\r\n\r\nno number\r\n")
         answer = await heard(broken)
         assert answer.startswith(b"HTTP/1.1 400")
         assert named in answer
         # One that was answered names no other request.
-        second = knock(behind, head + b"Content-Length: 0\r\n\r\n")
+        second = behind.knock(head + b"Content-Length: 0\r\n\r\n")
         assert await is_served(second)
         second.sendall(b"no HTTP\r\n\r\n")
         answer = await heard(second)

@@ -92,10 +92,7 @@ async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) 
         assert taken.number == recorded["number"]
         assert taken.notes is None
         assert taken.replay is not None
-        assert taken.replay.model_dump() == {
-            "capture": recorded["id"],
-            "place": place,
-        }
+        assert taken.replay.model_dump() == {"capture": recorded["id"], "place": place}
         assert taken.id != recorded["id"]
     values = np.asarray(answer(0)["embedding"]["values"], np.float32).reshape(2, 3)
     assert np.array_equal(np.asarray(first), values)

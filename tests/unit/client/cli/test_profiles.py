@@ -42,10 +42,7 @@ def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
 )
 def test_profile_counts_as_a_whole(
-    daemon: Daemon,
-    options: list[str],
-    variables: dict[str, str],
-    monkeypatch: pytest.MonkeyPatch,
+    daemon: Daemon, options: list[str], variables: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("VEILCAM_TOKEN")
     before = dict(os.environ)

@@ -18,11 +18,6 @@ from veilcam_client.keys.receivers import Receiver, ReceiverKey
 runner = CliRunner()
 
 
-@pytest.fixture(scope="module")
-def receiver() -> ReceiverKey:
-    return ReceiverKey.generate()
-
-
 def test_keygen_writes_one_half_and_prints_the_other(tmp_path: Path) -> None:
     path = tmp_path / "key"
     made = runner.invoke(app, ["receiver", "keygen", str(path)])

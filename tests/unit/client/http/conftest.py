@@ -11,19 +11,19 @@ from tests.unit.client.conftest import Daemon, camera_of, result
 
 
 class Both:
-    """One call made through the sync and the async camera, with the waits it made."""
+    """One call made through the sync or the async camera, with the waits it made."""
 
-    def __init__(self, daemon: Daemon) -> None:
-        self.daemon, self.waits = daemon, list[float]()
+    def __init__(self, daemon: Daemon, kind: type) -> None:
+        self.daemon, self.kind, self.waits = daemon, kind, list[float]()
 
-    async def __call__(self, kind: type, ask: Callable[[Any], Any], **options: Any) -> Any:
-        url = options.pop("url", "http://camera.local:1")
-        return await result(ask(camera_of(kind, self.daemon, url=url, **options)))
+    async def __call__(self, ask: Callable[[Any], Any], **options: Any) -> Any:
+        given = {"kind": self.kind, "url": "http://camera.local:1", **options}
+        return await result(ask(camera_of(handler=self.daemon, **given)))
 
 
 @pytest.fixture
-def both(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Both:
-    made = Both(daemon)
+def both(daemon: Daemon, kind: type, monkeypatch: pytest.MonkeyPatch) -> Both:
+    made = Both(daemon, kind)
 
     async def rest(seconds: float) -> None:
         made.waits.append(seconds)

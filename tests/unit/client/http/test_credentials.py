@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.unit.client.conftest import Daemon, camera_of, problem, result
+from tests.unit.client.conftest import Daemon, camera_of
 from typer.testing import CliRunner
 
-from veilcam_client import AsyncCamera, Camera, UnauthorizedError
+from veilcam_client import AsyncCamera, Camera
 from veilcam_client.cli.main import app
 
 TOKEN = "vc_0123456789ab_" + 64 * "5"
@@ -47,12 +47,8 @@ def test_token_is_not_sent_in_the_clear(url: str, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     "url",
     [
-        "https://camera.local:8787",
-        "http://127.0.0.1:8787",
-        "http://127.3.2.1",
-        "http://[::1]:1",
-        "http://localhost:1",
-        "unix:///run/veilcam/api.sock",
+        *("https://camera.local:8787", "http://127.0.0.1:8787", "http://127.3.2.1"),
+        *("http://[::1]:1", "http://localhost:1", "unix:///run/veilcam/api.sock"),
     ],
 )
 def test_token_is_sent_where_nobody_listens(url: str) -> None:
@@ -80,15 +76,6 @@ def test_authority_that_cannot_be_read_is_named(
         with pytest.raises(ValueError, match=rf"{path.name}' cannot be used"):
             Camera("https://camera.local")
         monkeypatch.delenv("VEILCAM_CA_FILE")
-
-
-@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-async def test_stream_ends_with_its_token(daemon: Daemon, kind: type) -> None:
-    daemon.first = [problem(401, "unauthorized")]
-    stream = camera_of(kind, daemon).events()
-    with pytest.raises(UnauthorizedError):
-        await result(next(stream) if kind is Camera else anext(stream))
-    assert len(daemon.requests) == 1
 
 
 async def test_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:

@@ -30,7 +30,6 @@ from veilcam_client.http.options import STREAM_SILENCE
 from veilcam_client.wire.base import CALL_HEADER
 
 pytestmark = pytest.mark.anyio
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 
 
 def events(*texts: str) -> httpx.Response:
@@ -46,44 +45,39 @@ async def collect(
     camera: Any, count: int, last_event_id: str | None = "b-0", reconnect: bool = True
 ) -> list[str]:
     """Epochs, or ``gap``, of the next events."""
-    heard = []
+    heard: list[Any] = []
     stream = camera.events(last_event_id=last_event_id, reconnect=reconnect)
     if isinstance(stream, EventStream):
         with stream:
-            heard += [getattr(each, "epoch", each.kind) for each in islice(stream, count)]
+            heard += list(islice(stream, count))
         assert list(stream) == []
     else:
         async with stream:
-            while len(heard) < count:
-                each = await anext(stream)
-                heard.append(getattr(each, "epoch", each.kind))
+            heard += [await anext(stream) for _ in range(count)]
         assert [each async for each in stream] == []
-    return heard
+    return [getattr(each, "epoch", each.kind) for each in heard]
 
 
-@KINDS
-async def test_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
+async def test_broken_stream_goes_on_after_the_last_event(both: Both) -> None:
     both.daemon.first = [
         events(event(1), event(2)),
         httpx.ConnectError("restarting"),
         events(event(3), event(4, "of_the_future"), event(5)),
     ]
-    assert await both(kind, lambda camera: collect(camera, 4)) == ["e1", "e2", "e3", "e5"]
+    assert await both(lambda camera: collect(camera, 4)) == ["e1", "e2", "e3", "e5"]
     resumed = [request.headers["last-event-id"] for request in both.daemon.requests]
     assert resumed == ["b-0", "b-2", "b-2"]
 
 
-@KINDS
-async def test_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
+async def test_stream_that_never_was_is_an_error(both: Both) -> None:
     both.daemon.first = [httpx.ConnectError("gone")] * 9
     with pytest.raises(ConnectError):
-        await both(kind, lambda camera: collect(camera, 1))
+        await both(lambda camera: collect(camera, 1))
     assert len(both.daemon.requests) == 3
 
 
-@KINDS
 async def test_pauses_of_a_stream_grow_and_stay_until_it_was_healthy(
-    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+    both: Both, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lasted = 0.0
     clock = SimpleNamespace(monotonic=lambda: lasted + sum(both.waits))
@@ -108,7 +102,7 @@ async def test_pauses_of_a_stream_grow_and_stay_until_it_was_healthy(
         if closed is not None:
             await closed
 
-    await both(kind, follow, max_retries=0)
+    await both(follow, max_retries=0)
     *pauses, last = both.waits
     assert len(pauses) == 1 + len(gone) + len(flapping)
     grown = [min(30.0, 0.25 * 2**n) for n in range(len(pauses))]
@@ -118,9 +112,8 @@ async def test_pauses_of_a_stream_grow_and_stay_until_it_was_healthy(
     assert min(sum(pauses[n : n + 5]) for n in range(8, len(pauses) - 4)) > 60
 
 
-@KINDS
 async def test_silence_of_a_stream_is_not_health(
-    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+    both: Both, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Silent(httpx.SyncByteStream, httpx.AsyncByteStream):
         def __iter__(self) -> Iterator[bytes]:
@@ -135,24 +128,22 @@ async def test_silence_of_a_stream_is_not_health(
     monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
     both.daemon.first = [events(event(0)), events(event(1), event(2))]
     both.daemon.first[1:1] = [httpx.Response(200, stream=Silent()) for _ in range(9)]
-    assert await both(kind, lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
+    assert await both(lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
     pauses = [pause for pause in both.waits if pause != STREAM_SILENCE]
     assert pauses[-1] >= 15
 
 
-@KINDS
-async def test_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
+async def test_stream_that_shall_not_come_back_says_what_broke_it(both: Both) -> None:
     both.daemon.first = [httpx.ConnectError("gone"), events(event(1))]
     with pytest.raises(ConnectError, match="ended the stream"):
-        await both(kind, lambda camera: collect(camera, 2, reconnect=False))
+        await both(lambda camera: collect(camera, 2, reconnect=False))
     assert len(both.daemon.requests) == 2
 
 
-@KINDS
-async def test_events_that_a_daemon_cannot_know_of_are_a_gap(both: Both, kind: type) -> None:
+async def test_events_that_a_daemon_cannot_know_of_are_a_gap(both: Both) -> None:
     both.daemon.first = [events(": veilcam events\n\n"), events(), events(event(1)), events()]
     both.daemon.first.append(events(event(2)))
-    heard = await both(kind, lambda camera: collect(camera, 4, None))
+    heard = await both(lambda camera: collect(camera, 4, None))
     assert heard == ["gap", "gap", "e1", "e2"]
     resumed = [request.headers.get("last-event-id") for request in both.daemon.requests]
     assert resumed == [None, None, None, "b-1", "b-1"]
@@ -164,7 +155,6 @@ def foreign() -> httpx.Response:
     return answer
 
 
-@KINDS
 @pytest.mark.parametrize(
     ("answer", "error", "why"),
     [
@@ -175,9 +165,8 @@ def foreign() -> httpx.Response:
     ],
 )
 @pytest.mark.parametrize("first", [[], [event(1)]], ids=["new", "resumed"])
-async def test_refused_stream_says_why(  # noqa: PLR0917 - a table
+async def test_refused_stream_says_why(
     both: Both,
-    kind: type,
     answer: Callable[[], httpx.Response],
     error: type[VeilcamError],
     why: str,
@@ -185,7 +174,7 @@ async def test_refused_stream_says_why(  # noqa: PLR0917 - a table
 ) -> None:
     both.daemon.first = [*(events(each) for each in first), answer()]
     with pytest.raises(error, match=why):
-        await both(kind, lambda camera: collect(camera, 2))
+        await both(lambda camera: collect(camera, 2))
     named = [request.headers[CALL_HEADER] for request in both.daemon.requests]
     assert len(set(named)) == len(named) == 1 + len(first)
 

@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 
 from veilcam_client import (
     ApiError,
-    AsyncCamera,
     BusyError,
     Camera,
     ConnectError,
@@ -40,9 +39,6 @@ from veilcam_client.http.options import RetryPolicy
 from veilcam_client.wire.base import CALL_HEADER
 
 pytestmark = pytest.mark.anyio
-
-
-KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
 
 
 Ask = Callable[[Any], Any]
@@ -96,11 +92,10 @@ ROUTES: list[tuple[Ask, str, Any]] = [
 ]
 
 
-@KINDS
-async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
+async def test_every_method_asks_its_route(both: Both) -> None:
     for ask, route, body in ROUTES:
-        answer = await both(kind, ask)
-        assert answer == await both(Camera, ask)
+        answer = await both(ask)
+        assert answer == await both(ask, kind=Camera)
         request = both.daemon.requests[-2]
         method, path = route.split()
         assert (request.method, request.url.raw_path.decode()) == (method, f"/v1/{path}")
@@ -110,8 +105,7 @@ async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
         assert ("idempotency-key" in request.headers) is once
 
 
-@KINDS
-async def test_name_stays_one_part_of_the_path(both: Both, kind: type) -> None:
+async def test_name_stays_one_part_of_the_path(both: Both) -> None:
     asks: dict[str, Ask] = {
         "/v1/bundles/..%2Fstatus%3Fx/activate": lambda camera: camera.activate_bundle(
             "../status?x"
@@ -120,22 +114,20 @@ async def test_name_stays_one_part_of_the_path(both: Both, kind: type) -> None:
     }
     for path, ask in asks.items():
         with pytest.raises(KeyError):
-            await both(kind, ask)
+            await both(ask)
         assert both.daemon.requests[-1].url.raw_path.decode() == path
 
 
-@KINDS
-async def test_results_are_typed(both: Both, kind: type) -> None:
-    assert np.asarray(await both(kind, lambda camera: camera.capture())).shape == (2, 3)
-    active, other = await both(kind, lambda camera: camera.bundles())
+async def test_results_are_typed(both: Both) -> None:
+    assert np.asarray(await both(lambda camera: camera.capture())).shape == (2, 3)
+    active, other = await both(lambda camera: camera.bundles())
     assert (active.active, active.bundle, other.bundle.task) == (True, None, "fashion")
-    assert await both(kind, lambda camera: camera.remove_receiver(AB)) is None
-    await both(kind, lambda camera: camera.install_bundle(b"bundle"))
+    assert await both(lambda camera: camera.remove_receiver(AB)) is None
+    await both(lambda camera: camera.install_bundle(b"bundle"))
     sent = both.daemon.requests[-1].headers["content-type"]
     assert sent == "application/vnd.veilcam.bundle"
 
 
-@KINDS
 @pytest.mark.parametrize(
     "case",
     [
@@ -151,15 +143,12 @@ async def test_results_are_typed(both: Both, kind: type) -> None:
     ],
 )
 async def test_problem_is_the_error_of_its_status(
-    both: Both,
-    kind: type,
-    case: tuple[int, str, type[ApiError], int],
-    monkeypatch: pytest.MonkeyPatch,
+    both: Both, case: tuple[int, str, type[ApiError], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     status, code, error, exit_code = case
     both.daemon.first = [problem(status, code)]
     with pytest.raises(VeilcamError) as caught:
-        await both(kind, lambda camera: camera.capture())
+        await both(lambda camera: camera.capture())
     found = caught.value
     assert type(found) is error
     assert isinstance(found, ApiError)
@@ -178,68 +167,60 @@ async def test_problem_is_the_error_of_its_status(
     assert told.stderr == f"veilcam: error: {found} [{code}, request r1]\n"
 
 
-@KINDS
-async def test_retryable_call_is_repeated_with_the_same_key(both: Both, kind: type) -> None:
+async def test_retryable_call_is_repeated_with_the_same_key(both: Both) -> None:
     both.daemon.first = [
         problem(503, "sensor_failed", retryable=True, **{"Retry-After": "3"}),
         httpx.ReadTimeout("slow"),
     ]
-    assert (await both(kind, lambda camera: camera.capture())).id == "c1"
+    assert (await both(lambda camera: camera.capture())).id == "c1"
     keys = {request.headers["idempotency-key"] for request in both.daemon.requests}
     assert len(both.daemon.requests) == 3
     assert len(keys) == 1
     assert 3 <= both.waits[0] <= 3.25
     assert 0 <= both.waits[1] <= 0.5
-    await both(kind, lambda camera: camera.capture())
+    await both(lambda camera: camera.capture())
     assert both.daemon.requests[-1].headers["idempotency-key"] not in keys
 
 
-@KINDS
-async def test_call_is_named_anew_for_every_attempt(both: Both, kind: type) -> None:
+async def test_call_is_named_anew_for_every_attempt(both: Both) -> None:
     both.daemon.first = [problem(503, "sensor_failed", retryable=True)]
-    await both(kind, lambda camera: camera.capture())
-    await both(kind, lambda camera: camera.status())
+    await both(lambda camera: camera.capture())
+    await both(lambda camera: camera.status())
     named = [request.headers[CALL_HEADER] for request in both.daemon.requests]
     assert all(re.fullmatch("[0-9a-f]{32}", each) for each in named)
     assert len(set(named)) == 3
 
 
-@KINDS
 @pytest.mark.parametrize("status", [200, 401, 503])
-async def test_answer_to_another_call_is_a_protocol_error(
-    both: Both, kind: type, status: int
-) -> None:
+async def test_answer_to_another_call_is_a_protocol_error(both: Both, status: int) -> None:
     for named in ("0" * 32, "", "0" * 31):
         foreign = problem(status, "unauthorized", retryable=True)
         foreign.headers[CALL_HEADER] = named
         both.daemon.first = [foreign]
         both.daemon.requests.clear()
         with pytest.raises(ProtocolError, match="answer to another request"):
-            await both(kind, lambda camera: camera.status())
+            await both(lambda camera: camera.status())
         assert len(both.daemon.requests) == 1
 
 
-@KINDS
-async def test_retries_end_where_they_were_told_to(both: Both, kind: type) -> None:
+async def test_retries_end_where_they_were_told_to(both: Both) -> None:
     busy = problem(429, "queue_full", retryable=True)
     for retries in (0, 2, 4):
         both.daemon.first = [busy] * 5
         both.daemon.requests.clear()
         with pytest.raises(BusyError):
-            await both(kind, lambda camera: camera.capture(), max_retries=retries)
+            await both(lambda camera: camera.capture(), max_retries=retries)
         assert len(both.daemon.requests) == 1 + retries
 
 
-@KINDS
-async def test_wait_beyond_all_patience_is_not_waited(both: Both, kind: type) -> None:
+async def test_wait_beyond_all_patience_is_not_waited(both: Both) -> None:
     both.daemon.first = [problem(503, "x", retryable=True, **{"Retry-After": "3600"})]
     with pytest.raises(DeviceError) as caught:
-        await both(kind, lambda camera: camera.capture())
+        await both(lambda camera: camera.capture())
     assert caught.value.retry_after == 3600
     assert both.waits == []
 
 
-@KINDS
 @pytest.mark.parametrize(
     ("raised", "error"),
     [
@@ -250,17 +231,16 @@ async def test_wait_beyond_all_patience_is_not_waited(both: Both, kind: type) ->
     ],
 )
 async def test_missing_answer_is_an_error_of_the_sdk(
-    both: Both, kind: type, raised: Exception, error: type[VeilcamError]
+    both: Both, raised: Exception, error: type[VeilcamError]
 ) -> None:
     both.daemon.first = [raised] * 3
     with pytest.raises(error, match=r"http://camera\.local:1") as caught:
-        await both(kind, lambda camera: camera.status())
+        await both(lambda camera: camera.status())
     assert caught.value.retryable
     assert caught.value.status is None
     assert len(both.waits) == 2
 
 
-@KINDS
 @pytest.mark.parametrize(
     "answer",
     [
@@ -272,12 +252,12 @@ async def test_missing_answer_is_an_error_of_the_sdk(
     ],
 )
 async def test_foreign_server_is_a_protocol_error(
-    both: Both, kind: type, answer: tuple[int, str, dict[str, str]]
+    both: Both, answer: tuple[int, str, dict[str, str]]
 ) -> None:
     status, text, headers = answer
     both.daemon.first = [httpx.Response(status, text=text, headers=headers)]
     with pytest.raises(ProtocolError, match="is this a veilcamd"):
-        await both(kind, lambda camera: camera.status())
+        await both(lambda camera: camera.status())
     assert len(both.daemon.requests) == 1
 
 
@@ -300,108 +280,100 @@ def test_waits_are_fully_jittered_and_bounded() -> None:
     assert len({RetryPolicy().delay(0, error) for _ in range(20)}) == 20
 
 
-@KINDS
-async def test_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
+async def test_deadline_ends_repetitions_too(both: Both) -> None:
     both.daemon.first = [httpx.ConnectError("refused")] * 9
     with pytest.raises(ConnectError):
-        await both(kind, lambda camera: camera.status(timeout=1e-9), max_retries=9)
+        await both(lambda camera: camera.status(timeout=1e-9), max_retries=9)
     assert len(both.daemon.requests) == 1
     assert both.waits == []
     both.daemon.requests.clear()
     with pytest.raises(ConnectError):
-        await both(kind, lambda camera: camera.status(timeout=None), max_retries=3, timeout=1e-9)
+        await both(lambda camera: camera.status(timeout=None), max_retries=3, timeout=1e-9)
     assert len(both.daemon.requests) == 4
 
 
-@KINDS
-async def test_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
+async def test_deadline_bounds_what_a_socket_may_wait(both: Both) -> None:
     for timeout, longest in ((None, 9.0), (60.0, 9.0), (4.0, 4.0), (0.5, 0.5)):
         waits = {"connect_timeout": 1.5, "read_timeout": 9.0, "timeout": timeout}
-        await both(kind, lambda camera: camera.status(), **waits)
+        await both(lambda camera: camera.status(), **waits)
         asked = both.daemon.requests[-1].extensions["timeout"]
         assert min(1.5, longest) - 0.4 < asked["connect"] <= min(1.5, longest)
         assert longest - 0.4 < asked["read"] <= longest
 
 
-@KINDS
-async def test_lease_of_another_is_told_at_once_unless_waited_for(both: Both, kind: type) -> None:
+async def test_lease_of_another_is_told_at_once_unless_waited_for(both: Both) -> None:
     held = problem(423, "leased", retryable=True, **{"Retry-After": "20"})
     both.daemon.first = [held]
     with pytest.raises(LeasedError) as caught:
-        await both(kind, lambda camera: camera.capture())
+        await both(lambda camera: camera.capture())
     assert caught.value.retry_after == 20
     assert (both.waits, len(both.daemon.requests)) == ([], 1)
     both.daemon.first = [held] * 5
     both.daemon.requests.clear()
     ask = lambda camera: camera.capture(wait=math.inf, timeout=0.5)  # noqa: E731
-    assert (await both(kind, ask, max_retries=0)).id == "c1"
+    assert (await both(ask, max_retries=0)).id == "c1"
     assert len(both.daemon.requests) == 6
     assert all(0.5 <= pause <= 1 for pause in both.waits)
     assert len({request.headers["idempotency-key"] for request in both.daemon.requests}) == 1
 
 
-@KINDS
-async def test_patience_with_another_holder_ends(both: Both, kind: type) -> None:
+async def test_patience_with_another_holder_ends(both: Both) -> None:
     both.daemon.first = [problem(423, "leased", retryable=True, **{"Retry-After": "20"})] * 9
     for ask in (lambda camera: camera.classify(wait=0), lambda camera: camera.rotate(wait=1e-9)):
         with pytest.raises(LeasedError):
-            await both(kind, ask)
+            await both(ask)
     assert sum(both.waits) <= 1e-9
 
 
-@KINDS
-async def test_raw_answer_names_its_request(both: Both, kind: type) -> None:
+async def test_raw_answer_names_its_request(both: Both) -> None:
     both.daemon.first = [
         httpx.ConnectError("refused"),
         httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
     ]
-    raw = await both(kind, lambda camera: camera.with_raw_response.classify(timeout=9))
+    raw = await both(lambda camera: camera.with_raw_response.classify(timeout=9))
     assert (raw.status_code, raw.request_id) == (200, "r7")
     assert raw.headers["x-REQUEST-id"] == "r7"
     assert json.loads(raw.content) == CLASSIFICATION
     assert (raw.parse().label, raw.parse().confidence) == ("7", 0.9)
-    bundles = await both(kind, lambda camera: camera.with_raw_response.bundles())
+    bundles = await both(lambda camera: camera.with_raw_response.bundles())
     assert (len(bundles.parse()), bundles.request_id) == (2, None)
 
 
-@KINDS
-async def test_base_with_its_version_is_understood(both: Both, kind: type) -> None:
+async def test_base_with_its_version_is_understood(both: Both) -> None:
     for base in ("http://camera.local/v1", "http://camera.local/v1/", "http://camera.local/"):
-        await both(kind, lambda camera: camera.status(), url=base)
+        await both(lambda camera: camera.status(), url=base)
     both.daemon.first = [httpx.Response(200, json=STATUS)]
-    await both(kind, lambda camera: camera.status(), url="http://camera.local/cellar/v1")
+    await both(lambda camera: camera.status(), url="http://camera.local/cellar/v1")
     assert [request.url.path for request in both.daemon.requests] == [
         *["/v1/status"] * 3,
         "/cellar/v1/status",
     ]
 
 
-@KINDS
 async def test_address_stands_in_the_environment(
-    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+    both: Both, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VEILCAM_URL", "http://elsewhere:7")
-    await both(kind, lambda camera: camera.status(), url=None)
-    await both(kind, lambda camera: camera.status(), url="http://here:8")
+    await both(lambda camera: camera.status(), url=None)
+    await both(lambda camera: camera.status(), url="http://here:8")
     monkeypatch.setenv("VEILCAM_URL", "")
-    await both(kind, lambda camera: camera.status(), url=None)
+    await both(lambda camera: camera.status(), url=None)
     hosts = [request.url.host for request in both.daemon.requests]
     assert hosts == ["elsewhere", "here", "127.0.0.1"]
 
 
-@KINDS
 async def test_repetitions_are_logged_and_secrets_are_not(
-    both: Both, kind: type, caplog: pytest.LogCaptureFixture
+    both: Both, caplog: pytest.LogCaptureFixture
 ) -> None:
     token = "vc_0123456789ab_" + 64 * "5"
     both.daemon.first = [httpx.ConnectError("refused")]
     with caplog.at_level("INFO", "veilcam"):
-        await both(kind, lambda camera: camera.status(), token=token, url="http://localhost")
+        await both(lambda camera: camera.status(), token=token, url="http://localhost")
     assert "once more in" in caplog.text
     assert "connection_failed" in caplog.text
     assert "GET /v1/status" not in caplog.text
     with caplog.at_level("DEBUG", "veilcam"):
-        await both(kind, lambda camera: camera.tokens(), token=token, url="http://localhost")
+        await both(lambda camera: camera.tokens(), token=token, url="http://localhost")
     assert "GET /v1/tokens: 200" in caplog.text
     assert "limit=" not in caplog.text
     assert token not in caplog.text

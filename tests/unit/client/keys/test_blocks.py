@@ -85,7 +85,7 @@ def test_block_is_what_its_format_says(device: Device, receiver: ReceiverKey) ->
     assert opened[24:] == NOTES.model_dump_json().encode().ljust(512)
 
 
-def test_size_of_a_block_tells_nothing(epoch: Epoch) -> None:
+def test_size_and_repr_of_a_block_tell_nothing(epoch: Epoch) -> None:
     dark, bright = np.zeros((2, 3), np.float32), VALUES * np.float32(1e30)
     plain = NOTES.model_copy(update={"scene": None})
     sizes = {
@@ -94,12 +94,9 @@ def test_size_of_a_block_tells_nothing(epoch: Epoch) -> None:
             [(dark, NOTES), (bright, NOTES), (dark, WORDY), (bright, plain)]
         )
     }
-    assert sizes == {len(base64.b64encode(bytes(4 * 6 + NOTES_BYTES + 16)))}
-
-
-def test_block_is_not_shown(epoch: Epoch) -> None:
-    capture = epoch.capture(0)
+    capture = epoch.capture(4)
     assert _sealed(capture).block not in repr(capture)
+    assert sizes == {len(base64.b64encode(bytes(4 * 6 + NOTES_BYTES + 16)))}
 
 
 def _sealed(answer: Capture) -> SealedEmbedding:
@@ -211,12 +208,7 @@ def test_unsealed_embedding_is_refused_by_an_opener(epoch: Epoch, receiver: Rece
 def test_classification_is_opened_too(epoch: Epoch, receiver: ReceiverKey) -> None:
     capture = epoch.capture(0)
     found = Classification(
-        id="1",
-        epoch=capture.epoch,
-        number=0,
-        taken_at=AT,
-        label="7",
-        embedding=capture.embedding,
+        id="1", epoch=capture.epoch, number=0, taken_at=AT, label="7", embedding=capture.embedding
     )
     opened = Opener(receiver).open(found)
     assert opened.label == "7"

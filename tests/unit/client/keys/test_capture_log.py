@@ -64,9 +64,11 @@ def record(device: Device, entry: Entry = CAPTURE) -> LogRecord:
     return sign_record(device, 5, "3c" * 32, entry)
 
 
+SAID: dict[str, Any] = {"id": ID, "epoch": "9f" * 16, "number": 3, "taken_at": AT}
+
+
 def classification(**others: Any) -> Classification:
-    said: dict[str, Any] = {"id": ID, "epoch": "9f" * 16, "number": 3, "taken_at": AT}
-    return Classification(**{**said, "label": "7", **others})
+    return Classification(**{**SAID, "label": "7", **others})
 
 
 def test_signed_text_is_this_and_no_other() -> None:
@@ -88,10 +90,7 @@ def test_signed_text_is_this_and_no_other() -> None:
                 "2b" * 32,
             ],
         ],
-        [
-            *("veilcam log head", 1, device.public, 5, "4d" * 32, 1, 2),
-            "2026-01-02T03:04:05+00:00",
-        ],
+        [*("veilcam log head", 1, device.public, 5, "4d" * 32, 1, 2), "2026-01-02T03:04:05+00:00"],
     ]
 
 
@@ -190,14 +189,8 @@ def test_answer_is_known_again_and_every_part_of_it_counts() -> None:
         )
     ]
     assert len({digest, *map(answer_digest, changed)}) == 12
-    told: dict[str, Any] = {
-        "id": ID,
-        "epoch": "9f" * 16,
-        "number": 3,
-        "taken_at": AT,
-        "embedding": embedding,
-    }
-    assert answer_digest(Capture(**told)) != answer_digest(classification(embedding=embedding))
+    capture = Capture(**SAID, embedding=embedding)
+    assert answer_digest(capture) != answer_digest(classification(embedding=embedding))
 
 
 def test_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:

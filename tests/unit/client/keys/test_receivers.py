@@ -16,9 +16,7 @@ from veilcam_client.errors import KeyFileError
 from veilcam_client.keys.receivers import PRIVATE_BYTES, PUBLIC_BYTES, Receiver, ReceiverKey
 
 
-def test_public_half_seals_what_the_private_one_opens(
-    receiver: ReceiverKey,
-) -> None:
+def test_public_half_seals_what_the_private_one_opens(receiver: ReceiverKey) -> None:
     sealed = receiver.public.seal(bytearray(b"secret"), b"info")
     assert len(sealed) == len(b"secret") + 1136
     assert sealed != receiver.public.seal(b"secret", b"info")

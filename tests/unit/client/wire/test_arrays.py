@@ -116,17 +116,17 @@ def test_embedding_that_cannot_be_is_refused(text: str) -> None:
         Embedding.model_validate_json(text)
 
 
-def test_embedding_is_not_in_the_repr(capture: Capture) -> None:
-    assert "5.5" not in repr(capture)
-
-
 def npy(values: npt.NDArray[Any]) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, values)
     return buffer.getvalue()
 
 
-def test_answer_is_an_array_to_numpy_by_one_way_alone(capture: Capture) -> None:
+WHOLE = npy(VALUES)
+
+
+def test_embedding_is_no_repr_and_an_array_by_one_way_alone(capture: Capture) -> None:
+    assert "5.5" not in repr(capture)
     assert not hasattr(capture, "__array_struct__")
     assert not hasattr(capture.embedding, "__array_interface__")
     assert not hasattr(capture, "unknown")
@@ -144,9 +144,6 @@ def test_numpy_file_is_read_as_numpy_does(shape: tuple[int, ...]) -> None:
     values = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     assert np.array_equal(npy_array(npy(values)), np.load(io.BytesIO(npy(values))))
     assert npy_array(npy(values)).shape == shape
-
-
-WHOLE = npy(VALUES)
 
 
 @pytest.mark.parametrize(
