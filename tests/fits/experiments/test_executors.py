@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tests.fits.conftest import Call
 from tests.unit.training.experiments.tasks import gpus, kill, kill_once, place, refuse
 
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.cli import main as cli
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import (
     ATTEMPTS,
@@ -131,6 +131,7 @@ PARENT = """
 import signal
 import sys
 from pathlib import Path
+from tests.fits.conftest import Call
 from tests.unit.training.experiments.tasks import linger
 from veilcam_training.experiments.executors import LocalExecutor
 
@@ -167,25 +168,21 @@ def test_workers_end_with_their_parent(tmp_path: Path, folder: Path, cause: sign
     assert errors.count("Traceback") == (1 if cause is signal.SIGINT else 0)
 
 
-def fit_pairs(monkeypatch: pytest.MonkeyPatch, data: Path, out: Path, *options: object) -> Bundle:
+def fit_pairs(call: Call, data: Path, out: Path, *options: object) -> Bundle:
     recipe = ("--embedding", "3x4", "--epochs", "1", "--batch", "90", "--pairs", "2", "--seed", "1")
     # One thread, as a worker has: another number adds up in another order.
-    command = ("keyring", "--data", data, *recipe, "--threads", "1", "--out", out, *options)
-    monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, command)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert not caught.value.code
+    call("keyring", "--data", data, *recipe, "--threads", "1", "--out", out, *options)
     return read_bundle(out)
 
 
 @pytest.mark.slow
 def test_keyring_is_the_same_wherever_it_is_made(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
+    call: Call, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
     bundles, out = [], tmp_path / "a.veilcam"
     for index, options in enumerate([(), ("--workers", 2), ("--ray", cluster)]):
         work = tmp_path / str(index)
-        bundles.append(fit_pairs(monkeypatch, digit_folder, out, "--work", work, *options))
+        bundles.append(fit_pairs(call, digit_folder, out, "--work", work, *options))
         assert len(list(work.iterdir())) == 2
     alone, *others = bundles
     for other in others:

@@ -119,9 +119,8 @@ def test_release_of_ones_own_is_taken(light: TransferOperator) -> None:
     clear = _victim(light, _fresh(), snr_db=math.inf)
     victim = _victim(light, _fresh(), snr_db=math.inf, release=doubled)
     scenes = _scenes(4)
-    assert torch.equal(
-        victim.capture(victim.mask(), scenes), 2 * clear.capture(clear.mask(), scenes) + 1
-    )
+    wanted = 2 * clear.capture(clear.mask(), scenes) + 1
+    assert torch.equal(victim.capture(victim.mask(), scenes), wanted)
 
 
 def test_white_is_a_direction_and_wants_statistics(
@@ -150,8 +149,5 @@ def test_watching_gives_a_mask_to_every_row(light: TransferOperator) -> None:
     assert seen.released.shape == (3, 2, EMBEDDING.size)
     assert seen.epochs.tolist() == [1, 2, 3]
     assert "weights" not in repr(seen)
-
-
-def test_no_masks_at_all_are_refused() -> None:
     with pytest.raises(TrainingError, match="store one"):
         StoredMasks([])
