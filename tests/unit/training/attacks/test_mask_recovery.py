@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from scipy.stats import binom
@@ -103,13 +105,10 @@ def test_search_takes_the_start_that_explains_most(decoding: SceneDecoding) -> N
     evidence = KnownPictures(decoding, known, victim.capture(mask, known))
     generator = torch.Generator().manual_seed(5)
     said: list[tuple[int, int]] = []
-    once, shape = Search(steps=40, starts=1), CAMERA.mask_shape
-    losses = [
-        recover_mask(evidence, shape, search=once, generator=generator).loss for _ in range(3)
-    ]
-    best = recover_mask(
-        evidence,
-        CAMERA.mask_shape,
+    search = partial(recover_mask, evidence, CAMERA.mask_shape)
+    once = Search(steps=40, starts=1)
+    losses = [search(search=once, generator=generator).loss for _ in range(3)]
+    best = search(
         search=Search(steps=40, starts=3),
         generator=torch.Generator().manual_seed(5),
         progress=lambda done, total: said.append((done, total)),
@@ -117,4 +116,4 @@ def test_search_takes_the_start_that_explains_most(decoding: SceneDecoding) -> N
     assert best.loss == min(losses) < max(losses)
     assert said == [(1, 3), (2, 3), (3, 3)]
     with pytest.raises(TrainingError, match="without a step"):
-        recover_mask(evidence, CAMERA.mask_shape, search=Search(starts=0), generator=generator)
+        search(search=Search(starts=0), generator=generator)
