@@ -35,9 +35,7 @@ def test_private_file_is_read_as_written(tmp_path: Path) -> None:
         assert read_private(path) == content
 
 
-def test_private_file_is_for_its_owner_alone(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_private_file_is_its_owner_s_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path, seen = tmp_path / "work" / "fit.checkpoint", []
     monkeypatch.setattr(os, "fsync", lambda handle: seen.append(os.fstat(handle).st_mode))
     save_checkpoint(path, "a", STATE)

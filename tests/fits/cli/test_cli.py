@@ -157,9 +157,7 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     assert not list(tmp_path.glob("*.veilcam"))
 
 
-def test_keyring_for_a_binning_that_no_device_makes(
-    call: Call, digit_folder: Path, tmp_path: Path
-) -> None:
+def test_keyring_for_a_binning_of_no_device(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     config, out, work = tmp_path / "a.toml", tmp_path / "a.veilcam", tmp_path / "work"
     config.write_text('binning = "point"')
     command = ("keyring", "--data", digit_folder, *FIT, "--config", config, "--out", out)
@@ -216,7 +214,7 @@ def test_threads(
     assert seen == ([1] if name == "fit-fresh" else [])
 
 
-def test_threads_of_workers(
+def test_worker_threads(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
 ) -> None:
     class StopError(Exception):

@@ -76,9 +76,7 @@ def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
 
 
 @pytest.mark.thorough
-def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
-    call: Call, tmp_path: Path
-) -> None:
+def test_colour_is_left_out_unless_a_classifier_is_named(call: Call, tmp_path: Path) -> None:
     data, out = draw(tmp_path / "data", "cat", "dog", shape=(12, 16, 3)), tmp_path / "a.veilcam"
     assert "classifier LR would be fitted in colour" in call(
         "fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out, code=1
@@ -104,9 +102,7 @@ def test_fit_that_keeps_nothing_says_so_before_it_starts(call: Call, tmp_path: P
     assert said not in call("fit", "--data", data, *QUICK, "--work", tmp_path / "work")
 
 
-def test_label_that_no_bundle_can_hold_ends_the_run_before_the_fit(
-    call: Call, tmp_path: Path
-) -> None:
+def test_label_that_no_bundle_can_hold_costs_no_fit(call: Call, tmp_path: Path) -> None:
     data = draw(tmp_path / "data", "tea", "Unknown")
     for command in ("fit", "fit-fresh", "keyring"):
         said = call(command, "--data", data, "--out", tmp_path / "a.veilcam", code=1)

@@ -55,9 +55,7 @@ def write_stripes(folder: Path) -> None:
     (folder / "stripes.bin").write_bytes(torch.stack(records).to(torch.uint8).numpy().tobytes())
 
 
-def test_new_data_set_is_fitted_from(
-    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_new_data_set_is_used(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, "stripes": StripesSource})
     write_stripes(tmp_path)
     command = f"fit --data {tmp_path} --dataset stripes --embedding 6x8 --seed 0"

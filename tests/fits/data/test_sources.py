@@ -69,9 +69,7 @@ def test_faces(faces_file: Writer, tmp_path: Path, task: str) -> None:
         ({"female": np.full(120, 2)}, "other than 0 and 1"),
     ],
 )
-def test_bad_faces(
-    faces_file: Writer, tmp_path: Path, changes: dict[str, Any], reason: str
-) -> None:
+def test_bad_face(faces_file: Writer, tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
     source = open_source("faces-gender", faces_file(tmp_path, **changes))
     with pytest.raises(TrainingError, match=reason) as caught:
         source.training()
@@ -226,7 +224,7 @@ def test_bad_celeba(celeba_files: Writer, tmp_path: Path) -> None:
         ("faces-glasses", "faces_file"),
     ],
 )
-def test_from_files_to_a_bundle(
+def test_files_to_bundle(
     name: str, files: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     source = open_source(name, request.getfixturevalue(files)(tmp_path))

@@ -86,9 +86,7 @@ def test_executor_here_runs_in_this_process() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["local", "ray"])
-def test_results_come_with_the_index_of_their_task(
-    request: pytest.FixtureRequest, kind: str
-) -> None:
+def test_results_come_with_their_task_s_index(request: pytest.FixtureRequest, kind: str) -> None:
     workers = make(kind, request, threads=2)
     results = dict(workers.run(place, range(3)))
     assert sorted(results) == [0, 1, 2]
@@ -176,7 +174,7 @@ def fit_pairs(call: Call, data: Path, out: Path, *options: object) -> Bundle:
 
 
 @pytest.mark.slow
-def test_keyring_is_the_same_wherever_it_is_made(
+def test_keyring_is_the_same_everywhere(
     call: Call, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
     bundles, out = [], tmp_path / "a.veilcam"

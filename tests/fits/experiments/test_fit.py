@@ -82,7 +82,7 @@ def test_empty_test_set_costs_no_fit(digit_folder: Path) -> None:
     ("people", "reason"),
     [(3, "has groups: 3, too few"), (5, "leaves 0 of 4 groups to validate with: use more")],
 )
-def test_too_few_faces_for_all_parts(
+def test_too_few_faces_for_parts(
     faces_file: Writer, tmp_path: Path, people: int, reason: str
 ) -> None:
     faces_file(tmp_path, identity=np.arange(120) % people)
@@ -213,7 +213,7 @@ def test_without_a_panel_there_is_no_mask_to_check(source: Source) -> None:
     ("encoder", "rectified"),
     [("learned", True), ("digital", True), ("fixed_simulated", False), ("lens", False)],
 )
-def test_learned_sensor_is_rectified(
+def test_learned_is_rectified(
     source: Source, encoder: str, normalisation: str, *, rectified: bool
 ) -> None:
     recipe = SMALL.model_copy(update={"normalisation": normalisation})
@@ -244,9 +244,7 @@ class Files(IdxSource):
 FILES = Files("mnist", DIGITS, Path())
 
 
-def test_fingerprint_tells_settings_recipes_and_torch_apart(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_fingerprint_tells_settings_and_torch_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     changes: list[dict[str, object]] = [
         {},
         {"seed": 1},

@@ -68,7 +68,7 @@ def same(one: Bundle, other: Bundle) -> bool:
 
 
 @pytest.mark.slow
-def test_runs_without_a_seed_have_different_masks(
+def test_runs_without_a_seed_differ_in_masks(
     capsys: pytest.CaptureFixture[str], make: Make
 ) -> None:
     one, other = make(*COMMANDS["keyring"]), make(*COMMANDS["keyring"])

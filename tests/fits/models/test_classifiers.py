@@ -48,9 +48,7 @@ def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
 @pytest.mark.parametrize(
     "shape", [(1, 24, 32), (1, 12, 16), (1, 6, 8), (1, 3, 4), (3, 27, 36), (3, 13, 17), (3, 3, 4)]
 )
-def test_classifier_fits_the_embeddings_of_the_paper(
-    name: str, shape: tuple[int, int, int]
-) -> None:
+def test_classifier_fits_embeddings_of_the_paper(name: str, shape: tuple[int, int, int]) -> None:
     layers = make_layers(name, task(*shape))
     inputs = shape[0] * shape[1] * shape[2]
     assert output_shape(layers, inputs) == (10,)
@@ -63,7 +61,7 @@ def test_classifier_fits_the_embeddings_of_the_paper(
     assert adapter.validate_json(adapter.dump_json(layers)) == layers
 
 
-def test_another_classifier_is_a_function_and_a_line(
+def test_new_classifier_is_a_function_and_a_line(
     monkeypatch: pytest.MonkeyPatch, source: Source
 ) -> None:
     def narrow(task: Task, width: int, dropout: float) -> Layers:

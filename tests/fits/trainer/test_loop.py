@@ -140,9 +140,7 @@ def test_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     ],
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items()),
 )
-def test_every_option_changes_the_result(
-    few: Source, reference: Fit, changes: dict[str, Any]
-) -> None:
+def test_every_option_has_an_effect(few: Source, reference: Fit, changes: dict[str, Any]) -> None:
     after = weights_of(run(few, settings(**{"epochs": 1, **changes})))
     before = weights_of(reference)
     assert before.shape != after.shape or not torch.equal(before, after)
@@ -301,7 +299,7 @@ class StopAfter:
     ],
     ids=["plain", "white", "everything", "fresh ranges"],
 )
-def test_resumed_is_the_same_as_unbroken(
+def test_resumed_is_as_unbroken(
     few: Source, tmp_path: Path, chosen: Settings | FreshSettings
 ) -> None:
     path = tmp_path / "work" / "fit.checkpoint"

@@ -58,9 +58,7 @@ def _victim(
     return Victim(light, source, release, decoding=decoding, snr_db=snr_db, generator=generator)
 
 
-def test_capture_is_the_light_of_its_mask_at_the_ratio_that_was_asked_for(
-    light: TransferOperator,
-) -> None:
+def test_capture_is_the_light_of_its_mask_at_the_ratio_asked_for(light: TransferOperator) -> None:
     victim = _victim(light, _fresh(), snr_db=math.inf)
     mask, scenes = victim.mask(), _scenes(50)
     clear = victim.capture(mask, scenes)
@@ -92,9 +90,7 @@ def test_fresh_masks_never_come_again_and_stored_ones_do(light: TransferOperator
     assert len({mask.key for mask in shown}) == 20
 
 
-def test_stored_masks_are_prepared_once_for_all_cameras_that_share_them(
-    light: TransferOperator,
-) -> None:
+def test_stored_masks_are_prepared_once_for_all_their_cameras(light: TransferOperator) -> None:
     stored = StoredMasks.random(CAMERA, 2, torch.Generator().manual_seed(1))
     shared: dict[int, Prepared] = {}
     cameras = [
@@ -123,7 +119,7 @@ def test_release_of_ones_own_is_taken(light: TransferOperator) -> None:
     assert torch.equal(victim.capture(victim.mask(), scenes), wanted)
 
 
-def test_white_is_a_direction_and_wants_statistics(
+def test_white_is_a_direction_by_statistics(
     light: TransferOperator, decoding: SceneDecoding
 ) -> None:
     victim = _victim(light, _fresh(), release=FORMS["white"], decoding=decoding)

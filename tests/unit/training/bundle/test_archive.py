@@ -257,9 +257,7 @@ def test_part_that_is_no_safetensors(path: Path, data: bytes, reason: str) -> No
         (lambda m: m["pairs"][0].update(layers=[]), "0 layers"),
     ],
 )
-def test_manifests_that_are_refused(
-    path: Path, edit: Callable[[dict[str, Any]], None], reason: str
-) -> None:
+def test_bad_manifests(path: Path, edit: Callable[[dict[str, Any]], None], reason: str) -> None:
     edit_manifest(path, edit)
     refuse(path, reason)
 
@@ -398,9 +396,7 @@ def test_limits_are_those_of_the_format() -> None:
 
 
 @pytest.mark.parametrize("name", ["bundle.json", "masks.safetensors", "weights.safetensors"])
-def test_part_may_be_as_long_as_its_limit(
-    path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_part_may_reach_its_limit(path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     size = len(unpack(path)[name])
     monkeypatch.setitem(archive.MAX_PART, name, size)
     assert read_bundle(path).labels == make_bundle().labels
@@ -413,9 +409,7 @@ def test_part_may_be_as_long_as_its_limit(
     assert path.read_bytes() == before
 
 
-def test_all_parts_together_may_unpack_to_so_much(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_together_may_unpack_to_so_much(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     together = sum(map(len, unpack(path).values()))
     monkeypatch.setattr(archive, "FREE", together - 4 * path.stat().st_size)
     read_bundle(path)
@@ -491,7 +485,7 @@ def crowd(count: int, told: int | None = None) -> bytes:
     ],
     ids=lambda content: f"{len(content)} bytes" if isinstance(content, bytes) else None,
 )
-def test_entries_are_counted_before_any_is_read(
+def test_entries_are_counted_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
 ) -> None:
     def read(*_: object) -> None:
@@ -505,9 +499,7 @@ def test_entries_are_counted_before_any_is_read(
 
 
 @pytest.mark.parametrize("length", [300, 301])
-def test_reason_is_cut_after_300_letters(
-    path: Path, monkeypatch: pytest.MonkeyPatch, length: int
-) -> None:
+def test_reason_has_300_letters(path: Path, monkeypatch: pytest.MonkeyPatch, length: int) -> None:
     def fail(_: Path) -> Bundle:
         raise BundleError("x" * length)
 
@@ -517,7 +509,7 @@ def test_reason_is_cut_after_300_letters(
     assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
 
 
-def test_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
+def test_bundle_and_then_its_name_are_on_the_disk(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, done = path.read_bytes(), []

@@ -240,16 +240,12 @@ def test_tensors_that_are_refused(
         (lambda m: m["parts"].pop("scene_stats.safetensors"), "lacks the digest"),
     ],
 )
-def test_manifests_that_are_refused(
-    path: Path, edit: Callable[[dict[str, Any]], None], reason: str
-) -> None:
+def test_bad_manifests(path: Path, edit: Callable[[dict[str, Any]], None], reason: str) -> None:
     edit_manifest(path, edit)
     refuse(path, reason)
 
 
-def test_response_too_large_is_refused_before_it_is_made(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_response_too_large_is_never_made(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fresh_module, "MAX_RESPONSE", PIXELS * EMBEDDING.size - 1)
     refuse(path, "42 x 20 responses")
 

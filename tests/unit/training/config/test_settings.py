@@ -35,9 +35,7 @@ from veilcam_training.experiments.model import make_model
         (Situation("cifar10", "learned", "27x36", "VGG11"), 32, "sgd", 20),
     ],
 )
-def test_papers_recipes(
-    situation: Situation, batch: int, optimiser: str, every: int | None
-) -> None:
+def test_paper_recipes(situation: Situation, batch: int, optimiser: str, every: int | None) -> None:
     recipe = find_recipe("paper", situation)
     assert recipe.epochs == 50
     assert recipe.batch == batch
@@ -83,9 +81,7 @@ SIZES = ("24x32", "12x16", "6x8", "3x4")
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
 @pytest.mark.parametrize("classifier", ["LR", "FC800", "CNN16"])
 @pytest.mark.parametrize("change", ["none", "shift", "rotate"])
-def test_best_recipes_can_be_used(
-    source: Source, encoder: str, classifier: str, change: str
-) -> None:
+def test_best_recipes_are_valid(source: Source, encoder: str, classifier: str, change: str) -> None:
     for embedding in SIZES if change == "none" else SIZES[:1]:
         recipe = find_recipe("best", Situation("mnist", encoder, embedding, classifier, change))
         assert Recipe.model_validate(recipe.model_dump()) == recipe

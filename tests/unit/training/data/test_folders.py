@@ -93,7 +93,7 @@ def test_training_part_alone_tests_with_a_share(tmp_path: Path) -> None:
         (("train/cat", "train/test", "test/cat", "test/test"), "test may be parts"),
     ],
 )
-def test_doubtful_layout_is_refused_with_what_was_understood(
+def test_doubtful_layout_is_refused_and_told(
     tmp_path: Path, folders: tuple[str, ...], said: str
 ) -> None:
     for name in folders:

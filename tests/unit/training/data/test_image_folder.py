@@ -82,9 +82,7 @@ def of_one_array(folder: Path) -> None:
         *((of_arrays, True), (of_one_array, False)),
     ],
 )
-def test_every_form_is_found_and_read(
-    write: Callable[[Path], object], named: bool, tmp_path: Path
-) -> None:
+def test_every_form_is_read(write: Callable[[Path], object], named: bool, tmp_path: Path) -> None:
     write(tmp_path)
     assert recognise(tmp_path) == "image-folder"
     source = open_source("image-folder", tmp_path)

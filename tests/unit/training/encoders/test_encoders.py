@@ -106,9 +106,7 @@ def test_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
 
 @pytest.mark.parametrize("name", ENCODERS)
 @pytest.mark.parametrize("snr_db", [10.0, 40.0])
-def test_noise_has_the_ratio_asked_for_after_the_optics(
-    name: str, snr_db: float, psf_file: Path
-) -> None:
+def test_noise_has_its_ratio_after_the_optics(name: str, snr_db: float, psf_file: Path) -> None:
     encoder = make(name, psf_file)
     v = encoder(scenes(colour=False)).detach()
     generator = stream(0, "noise")
@@ -343,7 +341,7 @@ def test_psf_in_a_picture_is_read_by_the_one_reader_of_pictures(tmp_path: Path) 
         ({"psf": np.array([object()]), "pitch": 1e-5}, "not the file of a PSF"),
     ],
 )
-def test_files_that_are_no_psf(
+def test_files_of_no_psf(
     tmp_path: Path, content: dict[str, Any] | bytes | None, reason: str
 ) -> None:
     path = tmp_path / "psf.npz"

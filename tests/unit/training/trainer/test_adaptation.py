@@ -44,9 +44,7 @@ def distance(one: nn.Module, other: nn.Module) -> float:
 
 
 @pytest.mark.parametrize("count", [FEW, 40])
-def test_camera_that_turns_its_numbers_around_is_learned(
-    classifier: nn.Sequential, count: int
-) -> None:
+def test_camera_that_turns_numbers_around_is_learned(classifier: nn.Sequential, count: int) -> None:
     values, labels = inputs(count)
     others, truth = inputs(400, seed=2)
     assert accuracy(classifier, others, truth) > 0.9
@@ -89,9 +87,7 @@ def test_trial_of_what_is_kept_is_the_classifier_itself(classifier: nn.Sequentia
     assert kept.loss == pytest.approx(float(loss), rel=1e-5)
 
 
-def test_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
-    classifier: nn.Sequential,
-) -> None:
+def test_what_is_held_moves_less_and_more_inputs_hold_less(classifier: nn.Sequential) -> None:
     values, labels = inputs(40)
     moved = [
         distance(fine_tune(classifier, Freedom("all", held), values.flip(1), labels), classifier)

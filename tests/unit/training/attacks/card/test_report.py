@@ -106,9 +106,7 @@ def test_page_needs_nothing_else_and_shows_every_row(leaking: Made, closed: Made
 
 
 @pytest.mark.slow
-def test_card_that_was_broken_off_goes_on_where_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_card_that_was_broken_off_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
     def watched(threat: str, attack: Callable[[Study], Found]) -> Callable[[Study], Found]:

@@ -26,9 +26,7 @@ def attacked(bundle: Bundle, form: str) -> tuple[Found, Found]:
 
 
 @pytest.mark.slow
-def test_mask_is_found_where_embeddings_leave_as_they_were_read(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_mask_is_found_where_raw_embeddings_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     light = partial(recover_mask, search=Search(steps=150, starts=1))
     monkeypatch.setattr(shots, "recover_mask", light)
     unknown, known = attacked(make_pairs(2), "raw")
