@@ -59,15 +59,12 @@ def cluster(importable: None) -> Iterator[str]:
         running.shutdown()  # type: ignore[no-untyped-call]
 
 
-def make(kind: str, request: pytest.FixtureRequest, threads: int) -> Executor:
-    if kind == "local":
-        return LocalExecutor(2, threads=threads)
-    return RayExecutor(request.getfixturevalue("cluster"), threads=threads)
-
-
 @pytest.fixture(params=["local", "ray"])
 def workers(request: pytest.FixtureRequest) -> Executor:
-    return make(request.param, request, threads=1)
+    """Two, of two threads each."""
+    if request.param == "local":
+        return LocalExecutor(2, threads=2)
+    return RayExecutor(request.getfixturevalue("cluster"), threads=2)
 
 
 @pytest.fixture
@@ -80,14 +77,13 @@ def folder(tmp_path: Path) -> Path:
 def test_executor_here_runs_in_this_process() -> None:
     ((index, (process, _, _)),) = HERE.run(place, [0])
     assert (index, process) == (0, os.getpid())
+    assert list(LocalExecutor(2).run(place, [])) == []
     with pytest.raises(TrainingError, match="not valid"):
         list(HERE.run(refuse, [1]))
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["local", "ray"])
-def test_results_come_with_their_task_s_index(request: pytest.FixtureRequest, kind: str) -> None:
-    workers = make(kind, request, threads=2)
+def test_results_come_with_their_task_s_index(workers: Executor) -> None:
     results = dict(workers.run(place, range(3)))
     assert sorted(results) == [0, 1, 2]
     assert os.getpid() not in {process for process, _, _ in results.values()}
@@ -114,10 +110,6 @@ def test_error_of_a_task_is_raised(workers: Executor) -> None:
         list(workers.run(refuse, [1]))
     assert str(caught.value) == "value = 1 is not valid"
     assert "in refuse" in str(caught.value.__cause__)  # where, in the worker
-
-
-def test_executor_without_tasks_starts_nothing() -> None:
-    assert list(LocalExecutor(2).run(place, [])) == []
 
 
 @pytest.mark.slow
