@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -488,22 +489,16 @@ def crowd(count: int, told: int | None = None) -> bytes:
 def test_entries_are_counted_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
 ) -> None:
-    def read(*_: object) -> None:
-        raise AssertionError("the archive is read")
-
     path = tmp_path / "crowd.veilcam"
     path.write_bytes(content)
-    monkeypatch.setattr(zipfile, "ZipFile", read)
+    monkeypatch.setattr(zipfile, "ZipFile", Mock(side_effect=AssertionError("the archive is read")))
     with pytest.raises(BundleError, match=r"more entries than the 6|not a whole bundle"):
         read_bundle(path)
 
 
 @pytest.mark.parametrize("length", [300, 301])
 def test_reason_has_300_letters(path: Path, monkeypatch: pytest.MonkeyPatch, length: int) -> None:
-    def fail(_: Path) -> Bundle:
-        raise BundleError("x" * length)
-
-    monkeypatch.setattr(archive, "_read", fail)
+    monkeypatch.setattr(archive, "_read", Mock(side_effect=BundleError("x" * length)))
     with pytest.raises(BundleError) as caught:
         read_bundle(path)
     assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
@@ -537,15 +532,11 @@ def test_bundle_and_then_its_name_are_on_the_disk(
 
 
 @pytest.mark.parametrize("broken", ["fsync", "replace"])
-def test_disk_that_fails_leaves_the_old_bundle_and_nothing_else(
+def test_disk_that_fails_leaves_the_old_bundle(
     path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     before = path.read_bytes()
-
-    def fail(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, broken, fail)
+    monkeypatch.setattr(os, broken, Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space left"):
         write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
     assert path.read_bytes() == before
