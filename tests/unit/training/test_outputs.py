@@ -49,7 +49,7 @@ def names(folder: Path) -> list[str]:
 )
 def test_bad_places(folder: Path, option: str, name: str, reason: str) -> None:
     before = names(folder)
-    check = partial(check_file, suffix=".veilcam") if option == "--out" else check_folder
+    check = partial(check_file, ending=".veilcam") if option == "--out" else check_folder
     with pytest.raises(TrainingError, match=f"{option} .*{reason}"):
         check(option, Path(name))
     assert names(folder) == before

@@ -66,13 +66,13 @@ def arrays(first: int, count: int) -> dict[str, Any]:
     return {"images": images, "labels": labels}
 
 
+def of_one_array(folder: Path) -> None:
+    np.savez(folder / "images.npz", **arrays(0, 20))
+
+
 def of_arrays(folder: Path) -> None:
     np.savez(folder / "train.npz", **arrays(0, 14))
     np.savez(folder / "test.npz", **arrays(14, 6))
-
-
-def of_one_array(folder: Path) -> None:
-    np.savez(folder / "images.npz", **arrays(0, 20))
 
 
 @pytest.mark.parametrize(
