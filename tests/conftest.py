@@ -37,7 +37,7 @@ NUMERICAL = (
         f"unit/training/{room}"
         for room in ("attacks", "encoders", "export", "models", "trainer", "transforms")
     ),
-    *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
+    *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "network")),
     *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements")),
     "unit/training/experiments/test_adapt.py",
     *(f"fits/{room}" for room in ("encoders", "models", "trainer")),

@@ -27,17 +27,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_private_file_is_read_as_written(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    assert read_private(path) is None
-    for content in (b"one", b""):
-        write_private(path, content)
-        assert read_private(path) == content
-
-
-def test_private_file_is_for_its_owner_alone(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_private_file_is_its_owner_s_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path, seen = tmp_path / "work" / "fit.checkpoint", []
     monkeypatch.setattr(os, "fsync", lambda handle: seen.append(os.fstat(handle).st_mode))
     save_checkpoint(path, "a", STATE)
@@ -92,8 +82,10 @@ def test_whole_but_not_for_this_torch(tmp_path: Path) -> None:
         with pytest.raises(TrainingError, match=r"version of torch\): remove it") as caught:
             load_checkpoint(path, "a")
         assert "\n" not in str(caught.value)
-
-
-def test_folder_in_its_place(tmp_path: Path) -> None:
+        assert read_private(path) == content
+    write_private(path, b"")
+    assert read_private(path) == b""
+    path.unlink()
+    assert read_private(path) is None
     with pytest.raises(TrainingError, match=r"cannot be read \(Is a directory\): remove it"):
         read_private(tmp_path)

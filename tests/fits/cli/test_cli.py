@@ -11,6 +11,7 @@ import torch
 from tensorboard.backend.event_processing import (  # type: ignore[import-untyped]
     event_accumulator,
 )
+from tests.fits.conftest import Call
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
@@ -31,26 +32,11 @@ from veilcam_training.trainer import loop as fitting
 FIT = ("--embedding", "6x8", "--classifier", "FC20", "--epochs", "6", "--batch", "30")
 
 
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, arguments)])
-    monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    return int(caught.value.code or 0)
-
-
 @pytest.mark.thorough
-def test_keyring_end_to_end(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    source: Source,
-    digit_folder: Path,
-    tmp_path: Path,
-) -> None:
+def test_keyring_end_to_end(call: Call, source: Source, digit_folder: Path, tmp_path: Path) -> None:
     out, work = tmp_path / "k.veilcam", tmp_path / "work"
     command = ("keyring", "--data", digit_folder, *FIT, "--pairs", 2, "--out", out, "--seed", 7)
-    assert call(monkeypatch, *command, "--work", work) == 0
-    printed = capsys.readouterr().out
+    printed = call(*command, "--work", work)
     assert "2 pairs, mean accuracy" in printed
     assert len(list(work.iterdir())) == 2
     bundle = read_bundle(out)
@@ -76,21 +62,15 @@ def test_keyring_end_to_end(
     assert min(share[0, 0], share[1, 1]) > 0.8
     assert max(share[0, 1], share[1, 0]) < 0.6
     # Started again, it is done at once and writes the same masks.
-    assert call(monkeypatch, *command, "--work", work) == 0
+    call(*command, "--work", work)
     again = read_bundle(out)
     assert all((a.levels == b.levels).all() for a, b in zip(bundle.pairs, again.pairs, strict=True))
 
 
 @pytest.mark.thorough
-def test_fit_prints_and_writes(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    digit_folder: Path,
-    tmp_path: Path,
-) -> None:
+def test_fit_prints_and_writes(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.veilcam"
-    assert call(monkeypatch, "fit", "--data", digit_folder, *FIT, "--threads", 1, "--out", out) == 0
-    printed = capsys.readouterr().out
+    printed = call("fit", "--data", digit_folder, *FIT, "--threads", 1, "--out", out)
     assert "FC20" in printed
     assert f"wrote {out}" in printed.replace("\n", "")
     bundle = read_bundle(out)
@@ -101,12 +81,7 @@ def test_fit_prints_and_writes(
     assert torch.get_num_threads() == 1
 
 
-def test_file_logs_and_other_options(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    digit_folder: Path,
-    tmp_path: Path,
-) -> None:
+def test_file_logs_and_other_options(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     config, logs = tmp_path / "a.toml", tmp_path / "logs"
     config.write_text(
         'embedding = "3x4"\nencoder = "lens"\nchange = "rotate"\n[recipe]\nepochs = 2\n'
@@ -114,8 +89,7 @@ def test_file_logs_and_other_options(
     table = tmp_path / "epochs.csv"
     table.write_text("epoch,training_loss\n1,9\n2,9\n3,9\n")  # of a run before this one
     options = ("--config", config, "--embedding", "6x8", "--tensorboard", logs, "--device", "cpu")
-    assert call(monkeypatch, "fit", "--data", digit_folder, *options, "--csv", table) == 0
-    printed = capsys.readouterr().out
+    printed = call("fit", "--data", digit_folder, *options, "--csv", table)
     assert "lens" in printed
     assert "6x8" in printed
     assert "full reach" not in printed
@@ -137,11 +111,10 @@ def test_file_logs_and_other_options(
         assert [float(row[column]) for row in rows] == pytest.approx(points, rel=1e-6)
 
 
-def test_download_says_what_it_can_fetch(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert call(monkeypatch, "download", "celeba-gender", "--data", tmp_path) == 1
-    assert "use one of mnist, fashion, cifar10" in capsys.readouterr().err
+def test_download_says_what_it_can_fetch(call: Call, tmp_path: Path) -> None:
+    assert "use one of mnist, fashion, cifar10" in call(
+        "download", "celeba-gender", "--data", tmp_path, code=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -169,7 +142,7 @@ def test_download_says_what_it_can_fetch(
 )
 def test_bad_input_is_one_line_that_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    call: Call,
     digit_folder: Path,
     tmp_path: Path,
     *,
@@ -177,25 +150,20 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     reason: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert call(monkeypatch, "fit", "--data", digit_folder, *arguments) == 1
-    printed = capsys.readouterr()
-    assert printed.err.startswith("error: ")
-    assert reason in printed.err
-    assert printed.err.count("\n") == 1
+    said = call("fit", "--data", digit_folder, *arguments, code=1)
+    assert said.startswith("error: ")
+    assert reason in said
+    assert said.count("\n") == 1
     assert not list(tmp_path.glob("*.veilcam"))
 
 
-def test_keyring_for_a_binning_that_no_device_makes(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    digit_folder: Path,
-    tmp_path: Path,
-) -> None:
+def test_keyring_for_a_binning_of_no_device(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     config, out, work = tmp_path / "a.toml", tmp_path / "a.veilcam", tmp_path / "work"
     config.write_text('binning = "point"')
     command = ("keyring", "--data", digit_folder, *FIT, "--config", config, "--out", out)
-    assert call(monkeypatch, *command, "--seed", 1, "--work", work) == 1
-    assert "a device averages over its pixels: use binning 'area'" in capsys.readouterr().err
+    assert "a device averages over its pixels: use binning 'area'" in call(
+        *command, "--seed", 1, "--work", work, code=1
+    )
     assert not work.exists()  # nothing was fitted
     assert not out.exists()
 
@@ -211,38 +179,42 @@ def test_no_bundle_of_a_binning_that_no_device_makes(source: Source) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", [("fit",), ("keyring", "--pairs", 1)])
 def test_work_has_checkpoints(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: tuple[object, ...]
+    monkeypatch: pytest.MonkeyPatch,
+    call: Call,
+    digit_folder: Path,
+    tmp_path: Path,
+    name: tuple[object, ...],
 ) -> None:
     work, out = tmp_path / "work", tmp_path / "a.veilcam"
     options = ("--data", digit_folder, *FIT, "--epochs", 1, "--seed", 1, "--out", out)
-    assert call(monkeypatch, *name, *options) == 0
+    call(*name, *options)
     assert list(tmp_path.iterdir()) == [out]
-    assert call(monkeypatch, *name, *options, "--work", work) == 0
+    call(*name, *options, "--work", work)
     assert {path.suffix for path in work.iterdir()} == {".checkpoint"}
 
     def begun(*_: object, **__: object) -> None:
         raise AssertionError
 
     monkeypatch.setattr(fitting, "_run_epoch", begun)  # what is in it is taken up
-    assert call(monkeypatch, *name, *options, "--work", work) == 0
+    call(*name, *options, "--work", work)
 
 
 @pytest.mark.parametrize("name", ["fit", "keyring", "fit-fresh"])
 def test_threads(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: str
+    monkeypatch: pytest.MonkeyPatch, call: Call, digit_folder: Path, tmp_path: Path, name: str
 ) -> None:
     seen: list[int] = []
     monkeypatch.setattr(torch, "set_num_threads", seen.append)
     # Refused, but only after the threads are set.
     command = (name, "--data", digit_folder, "--out", tmp_path / "a.zip")
-    assert call(monkeypatch, *command, "--threads", 3) == 1
+    call(*command, "--threads", 3, code=1)
     assert seen == [3]
     seen.clear()
-    assert call(monkeypatch, *command) == 1
+    call(*command, code=1)
     assert seen == ([1] if name == "fit-fresh" else [])
 
 
-def test_threads_of_workers(
+def test_worker_threads(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
 ) -> None:
     class StopError(Exception):
@@ -261,8 +233,5 @@ def test_threads_of_workers(
         cli.main()
 
 
-def test_misspelt_option(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(monkeypatch, "fit", "--data", ".", "--epoch", "3") == 2
-    assert "--epoch" in capsys.readouterr().err
+def test_misspelt_option(call: Call) -> None:
+    assert "--epoch" in call("fit", "--data", ".", "--epoch", "3", code=2)

@@ -2,43 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests.fits.conftest import Call
 
 from veilcam_training.bundle import read_bundle
-from veilcam_training.cli import main as cli
 
-Call = Callable[..., int]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch) -> Call:
-    def run(*arguments: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        return int(caught.value.code or 0)
-
-    return run
+QUICK = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
 
 
 @pytest.mark.slow
-def test_folder_is_drawn_summed_up_and_fitted(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
-    assert call("draw", shapes, "--count", 50, "--seed", 3) == 0
     # A line breaks where the terminal ends, and a path is as long as it is.
-    assert f"into {shapes}/train" in capsys.readouterr().out.replace("\n", "")
-    options = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
-    assert call("fit", "--data", shapes, *options, "--out", out) == 0
-    printed = capsys.readouterr().out
+    said = call("draw", shapes, "--count", 50, "--seed", 3).replace("\n", "")
+    assert f"into {shapes}/train" in said
+    printed = call("fit", "--data", shapes, *QUICK, "--out", out)
     assert "image-folder: 64 x 64, gray" in printed
     assert "FC800" in printed
     assert "star" in printed[: printed.index("FC800")]  # before the fit
@@ -50,16 +32,14 @@ def test_folder_is_drawn_summed_up_and_fitted(
     assert isinstance(settings, dict)
     assert settings["classifier"] == "FC800"
     # What is named goes before what was found.
-    assert call("fit", "--data", shapes, *options, "--classifier", "LR") == 0
-    assert "LR" in capsys.readouterr().out
-    assert call("fit", "--data", shapes, *options, "--dataset", "mnist") == 1
-    assert "is missing" in capsys.readouterr().err
+    assert "LR" in call("fit", "--data", shapes, *QUICK, "--classifier", "LR")
+    assert "is missing" in call("fit", "--data", shapes, *QUICK, "--dataset", "mnist", code=1)
 
 
 @pytest.mark.slow
 def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
-    assert call("draw", shapes, "--count", 200) == 0
+    call("draw", shapes, "--count", 200)
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
     config.write_text(
@@ -67,32 +47,23 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
         "[misalignment]\npanels = 2"
     )
     options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
-    assert call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out) == 0
+    call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out)
     bundle = read_bundle(out)
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def test_folder_that_is_not_empty_is_not_drawn_into(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_folder_that_is_not_empty_is_not_drawn_into(call: Call, tmp_path: Path) -> None:
     (tmp_path / "mine.png").write_bytes(b"")
-    assert call("draw", tmp_path) == 1
-    assert "is not empty" in capsys.readouterr().err
+    assert "is not empty" in call("draw", tmp_path, code=1)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
 
 
-def test_damaged_pictures_end_the_run_before_the_fit(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_damaged_pictures_end_the_run_before_the_fit(call: Call, tmp_path: Path) -> None:
     shapes = tmp_path / "shapes"
-    assert call("draw", shapes, "--count", 50) == 0
+    call("draw", shapes, "--count", 50)
     (shapes / "train" / "star" / "star-0005.png").write_bytes(b"no picture")
-    assert call("fit", "--data", shapes) == 1
-    said = capsys.readouterr().err
+    said = call("fit", "--data", shapes, code=1)
     assert "1 of 50 pictures cannot be read: train/star/star-0005.png" in said
-
-
-QUICK = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
 
 
 def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
@@ -105,56 +76,48 @@ def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
 
 
 @pytest.mark.thorough
-def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_colour_is_left_out_unless_a_classifier_is_named(call: Call, tmp_path: Path) -> None:
     data, out = draw(tmp_path / "data", "cat", "dog", shape=(12, 16, 3)), tmp_path / "a.veilcam"
-    assert call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out) == 1
-    assert "classifier LR would be fitted in colour" in capsys.readouterr().err
+    assert "classifier LR would be fitted in colour" in call(
+        "fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out, code=1
+    )
     config = tmp_path / "a.toml"
     config.write_text('classifier = "LR"')
-    assert call("fit", "--data", data, *QUICK, "--config", config, "--out", out) == 1
-    assert "classifier LR would be fitted in colour" in capsys.readouterr().err
-    assert call("fit", "--data", data, *QUICK, "--out", out) == 0
-    assert "they are fitted in gray" in capsys.readouterr().out
+    assert "classifier LR would be fitted in colour" in call(
+        "fit", "--data", data, *QUICK, "--config", config, "--out", out, code=1
+    )
+    assert "they are fitted in gray" in call("fit", "--data", data, *QUICK, "--out", out)
     assert read_bundle(out).channels == 1
-    assert call("keyring", "--data", data, *QUICK, "--pairs", 2, "--out", out) == 0
-    assert "they are fitted in gray" in capsys.readouterr().out
+    assert "they are fitted in gray" in call(
+        "keyring", "--data", data, *QUICK, "--pairs", 2, "--out", out
+    )
     assert read_bundle(out).channels == 1
 
 
 @pytest.mark.thorough
-def test_fit_that_keeps_nothing_says_so_before_it_starts(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_fit_that_keeps_nothing_says_so_before_it_starts(call: Call, tmp_path: Path) -> None:
     data, said = draw(tmp_path / "data", "cat", "dog"), "nothing of this fit will be kept"
-    assert call("fit", "--data", data, *QUICK) == 0
-    printed = capsys.readouterr().out
+    printed = call("fit", "--data", data, *QUICK)
     assert said in printed[: printed.index("image-folder")]
-    assert call("fit", "--data", data, *QUICK, "--work", tmp_path / "work") == 0
-    assert said not in capsys.readouterr().out
+    assert said not in call("fit", "--data", data, *QUICK, "--work", tmp_path / "work")
 
 
-def test_label_that_no_bundle_can_hold_ends_the_run_before_the_fit(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_label_that_no_bundle_can_hold_costs_no_fit(call: Call, tmp_path: Path) -> None:
     data = draw(tmp_path / "data", "tea", "Unknown")
     for command in ("fit", "fit-fresh", "keyring"):
-        assert call(command, "--data", data, "--out", tmp_path / "a.veilcam") == 1
-        assert "label 'Unknown' is the word" in capsys.readouterr().err
+        said = call(command, "--data", data, "--out", tmp_path / "a.veilcam", code=1)
+        assert "label 'Unknown' is the word" in said
 
 
 @pytest.mark.thorough
-def test_damaged_pictures_may_be_left_out(
-    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_damaged_pictures_may_be_left_out(call: Call, tmp_path: Path) -> None:
     data, out = draw(tmp_path / "caf\udce9", "cat", "dog"), tmp_path / "a.veilcam"
     (data / "cat" / "3.png").write_bytes(b"")
     (data / "dog" / "notes.txt").write_text("")
-    assert call("fit", "--data", data, *QUICK, "--out", out) == 1
-    assert "1 of 40 pictures cannot be read: cat/3.png" in capsys.readouterr().err
-    assert call("fit", "--data", data, *QUICK, "--out", out, "--skip-damaged") == 0
-    printed = capsys.readouterr().out
+    assert "1 of 40 pictures cannot be read: cat/3.png" in call(
+        "fit", "--data", data, *QUICK, "--out", out, code=1
+    )
+    printed = call("fit", "--data", data, *QUICK, "--out", out, "--skip-damaged")
     assert "warning: passed over: 1 .txt" in printed
     assert "1 damaged pictures are left out: cat/3.png" in printed
     # Its folder's name is no UTF-8, and stands in the command.

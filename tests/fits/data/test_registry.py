@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 import torch
+from tests.fits.conftest import Call
 
 from veilcam_optics.camera.geometry import Scene
 from veilcam_training.bundle import read_bundle
-from veilcam_training.cli import main as cli
 from veilcam_training.data import Images, Source, registry
 from veilcam_training.data.base import digest, find
 from veilcam_training.errors import TrainingError
@@ -56,16 +55,12 @@ def write_stripes(folder: Path) -> None:
     (folder / "stripes.bin").write_bytes(torch.stack(records).to(torch.uint8).numpy().tobytes())
 
 
-def test_new_data_set_is_fitted_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    line = {"stripes": StripesSource}
-    monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, **line})
+def test_new_data_set_is_used(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, "stripes": StripesSource})
     write_stripes(tmp_path)
-    command = f"veilcam-train fit --data {tmp_path} --dataset stripes --embedding 6x8 --seed 0"
+    command = f"fit --data {tmp_path} --dataset stripes --embedding 6x8 --seed 0"
     options = f"--epochs 20 --batch 12 --device cpu --out {tmp_path / 'a.veilcam'}"
-    monkeypatch.setattr(sys, "argv", f"{command} {options}".split())
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert caught.value.code == 0
+    call(*f"{command} {options}".split())
     bundle = read_bundle(tmp_path / "a.veilcam")
     source: Source = StripesSource(tmp_path)
     assert (bundle.labels, bundle.scene) == (source.labels, source.scene)

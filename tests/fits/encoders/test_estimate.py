@@ -53,16 +53,14 @@ def test_estimate_is_what_the_optics_decode(snr_db: float) -> None:
     estimate = SceneEstimate(encoder, snr_db)
     estimate.learn(STATISTICS)
     measurements = encoder(SCENES[:5])
-    decoder = prepare_decoder(
-        encoder.transfer(),
-        STATISTICS,
-        MeasurementNoise(snr_db),
-        scene=SCENE,
-        embedding=EMBEDDING,
-    )
+    transfer, noise = encoder.transfer(), MeasurementNoise(snr_db)
+    decoder = prepare_decoder(transfer, STATISTICS, noise, scene=SCENE, embedding=EMBEDDING)
     scenes, deviation = estimate(measurements).unflatten(1, (2, 6, 8)).unbind(1)
     assert close(scenes, decoder(measurements))
     assert close(deviation, decoder.deviation.expand(5, 6, 8))
+    clear = SceneEstimate(encoder, None)
+    clear.learn(STATISTICS)
+    assert bool(torch.isfinite(clear(measurements)).all())
 
 
 def test_larger_pixels_are_means() -> None:
@@ -112,13 +110,6 @@ def test_sharp_mask_leaves_less_unknown_than_any_at_random() -> None:
     assert weights.grad is None
     with pytest.raises(TrainingError, match="leave out mask_start"):
         estimate_of(camera("fixed_simulated")).sharpen()
-
-
-def test_without_noise() -> None:
-    encoder = camera()
-    estimate = SceneEstimate(encoder, None)
-    estimate.learn(STATISTICS)
-    assert bool(torch.isfinite(estimate(encoder(SCENES[:5]))).all())
 
 
 def test_estimate_with_bad_settings_is_refused() -> None:
@@ -194,12 +185,14 @@ def test_scenes_are_learned_from_the_training_part_alone(source: Source) -> None
     ],
 )
 def test_estimate_cannot_be_combined_with_other_options(
-    source: Source, changes: dict[str, Any], reason: str
+    source: Source,
+    cifar_files: Callable[[Path], Path],
+    tmp_path: Path,
+    changes: dict[str, Any],
+    reason: str,
 ) -> None:
     with pytest.raises(TrainingError, match=reason):
         make_model(settings(**changes), source, CAMERA)
-
-
-def test_colour_is_refused(cifar_files: Callable[[Path], Path], tmp_path: Path) -> None:
+    colour = open_source("cifar10", cifar_files(tmp_path))
     with pytest.raises(TrainingError, match="without colour"):
-        make_model(settings(data="cifar10"), open_source("cifar10", cifar_files(tmp_path)), CAMERA)
+        make_model(settings(data="cifar10"), colour, CAMERA)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tests.fits.conftest import Call
 from tests.unit.training.experiments.tasks import gpus, kill, kill_once, place, refuse
 
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.cli import main as cli
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import (
     ATTEMPTS,
@@ -59,15 +59,12 @@ def cluster(importable: None) -> Iterator[str]:
         running.shutdown()  # type: ignore[no-untyped-call]
 
 
-def make(kind: str, request: pytest.FixtureRequest, threads: int) -> Executor:
-    if kind == "local":
-        return LocalExecutor(2, threads=threads)
-    return RayExecutor(request.getfixturevalue("cluster"), threads=threads)
-
-
 @pytest.fixture(params=["local", "ray"])
 def workers(request: pytest.FixtureRequest) -> Executor:
-    return make(request.param, request, threads=1)
+    """Two, of two threads each."""
+    if request.param == "local":
+        return LocalExecutor(2, threads=2)
+    return RayExecutor(request.getfixturevalue("cluster"), threads=2)
 
 
 @pytest.fixture
@@ -80,16 +77,13 @@ def folder(tmp_path: Path) -> Path:
 def test_executor_here_runs_in_this_process() -> None:
     ((index, (process, _, _)),) = HERE.run(place, [0])
     assert (index, process) == (0, os.getpid())
+    assert list(LocalExecutor(2).run(place, [])) == []
     with pytest.raises(TrainingError, match="not valid"):
         list(HERE.run(refuse, [1]))
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["local", "ray"])
-def test_results_come_with_the_index_of_their_task(
-    request: pytest.FixtureRequest, kind: str
-) -> None:
-    workers = make(kind, request, threads=2)
+def test_results_come_with_their_task_s_index(workers: Executor) -> None:
     results = dict(workers.run(place, range(3)))
     assert sorted(results) == [0, 1, 2]
     assert os.getpid() not in {process for process, _, _ in results.values()}
@@ -118,10 +112,6 @@ def test_error_of_a_task_is_raised(workers: Executor) -> None:
     assert "in refuse" in str(caught.value.__cause__)  # where, in the worker
 
 
-def test_executor_without_tasks_starts_nothing() -> None:
-    assert list(LocalExecutor(2).run(place, [])) == []
-
-
 @pytest.mark.slow
 def test_gpus(cluster: str) -> None:
     assert list(RayExecutor(cluster, gpus=1).run(gpus, [0])) == [(0, [0])]
@@ -131,6 +121,7 @@ PARENT = """
 import signal
 import sys
 from pathlib import Path
+from tests.fits.conftest import Call
 from tests.unit.training.experiments.tasks import linger
 from veilcam_training.experiments.executors import LocalExecutor
 
@@ -167,25 +158,21 @@ def test_workers_end_with_their_parent(tmp_path: Path, folder: Path, cause: sign
     assert errors.count("Traceback") == (1 if cause is signal.SIGINT else 0)
 
 
-def fit_pairs(monkeypatch: pytest.MonkeyPatch, data: Path, out: Path, *options: object) -> Bundle:
+def fit_pairs(call: Call, data: Path, out: Path, *options: object) -> Bundle:
     recipe = ("--embedding", "3x4", "--epochs", "1", "--batch", "90", "--pairs", "2", "--seed", "1")
     # One thread, as a worker has: another number adds up in another order.
-    command = ("keyring", "--data", data, *recipe, "--threads", "1", "--out", out, *options)
-    monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, command)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert not caught.value.code
+    call("keyring", "--data", data, *recipe, "--threads", "1", "--out", out, *options)
     return read_bundle(out)
 
 
 @pytest.mark.slow
-def test_keyring_is_the_same_wherever_it_is_made(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
+def test_keyring_is_the_same_everywhere(
+    call: Call, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
     bundles, out = [], tmp_path / "a.veilcam"
     for index, options in enumerate([(), ("--workers", 2), ("--ray", cluster)]):
         work = tmp_path / str(index)
-        bundles.append(fit_pairs(monkeypatch, digit_folder, out, "--work", work, *options))
+        bundles.append(fit_pairs(call, digit_folder, out, "--work", work, *options))
         assert len(list(work.iterdir())) == 2
     alone, *others = bundles
     for other in others:

@@ -12,24 +12,18 @@ from pathlib import Path
 
 import pytest
 import torch
+from tests.fits.conftest import Call
 
 from veilcam_training.bundle import read_bundle
-from veilcam_training.cli import main as cli
 from veilcam_training.experiments.records import commit, own_command
 
 
-def test_bundle_says_where_it_comes_from(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
-) -> None:
+def test_bundle_says_where_it_comes_from(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.veilcam"
     options = f"--data {digit_folder} --out {out} --epochs 1 --seed 3 --embedding 3x4"
-    command = f"veilcam-train fit {options}"
-    monkeypatch.setattr(sys, "argv", command.split())
     before = datetime.now(UTC).replace(microsecond=0)
-    with pytest.raises(SystemExit):
-        cli.main()
+    call("fit", *options.split())
     after = datetime.now(UTC)
-
     record = read_bundle(out).provenance
     settings = record["settings"]
     assert isinstance(settings, dict)
@@ -51,7 +45,7 @@ def test_bundle_says_where_it_comes_from(
     }
     assert record["commit"] == commit()
     assert before <= datetime.fromisoformat(str(record["date"])) <= after
-    assert record["command"] == command
+    assert record["command"] == f"veilcam-train fit {options}"
 
 
 def test_own_command_is_as_one_types_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def same(one: Bundle, other: Bundle) -> bool:
 
 
 @pytest.mark.slow
-def test_runs_without_a_seed_have_different_masks(
+def test_runs_without_a_seed_differ_in_masks(
     capsys: pytest.CaptureFixture[str], make: Make
 ) -> None:
     one, other = make(*COMMANDS["keyring"]), make(*COMMANDS["keyring"])
@@ -112,17 +112,14 @@ def test_seed_that_was_given_is_kept(tmp_path: Path) -> None:
     assert all(0 <= settings.seed < 2**63 for settings in drawn)
 
 
-def test_another_folder_has_another_seed(tmp_path: Path) -> None:
+def test_damaged_seed_is_refused(tmp_path: Path) -> None:
+    # Another folder has another seed, which is kept.
     one, again, other = (settle_seed(Settings(), tmp_path / name).seed for name in "aab")
     assert one == again
     assert one != other
-
-
-def test_damaged_seed_is_refused(tmp_path: Path) -> None:
-    settle_seed(Settings(), tmp_path)
-    path = tmp_path / "seed"
+    path = tmp_path / "a" / "seed"
     whole = path.read_bytes()
     for damaged in (b"", whole[:-1], whole[:-1] + b"x", b"7"):
         path.write_bytes(damaged)
         with pytest.raises(TrainingError, match=r"seed cannot be read .* remove it to start again"):
-            settle_seed(Settings(), tmp_path)
+            settle_seed(Settings(), path.parent)

@@ -48,9 +48,7 @@ def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
 @pytest.mark.parametrize(
     "shape", [(1, 24, 32), (1, 12, 16), (1, 6, 8), (1, 3, 4), (3, 27, 36), (3, 13, 17), (3, 3, 4)]
 )
-def test_classifier_fits_the_embeddings_of_the_paper(
-    name: str, shape: tuple[int, int, int]
-) -> None:
+def test_classifier_fits_embeddings_of_the_paper(name: str, shape: tuple[int, int, int]) -> None:
     layers = make_layers(name, task(*shape))
     inputs = shape[0] * shape[1] * shape[2]
     assert output_shape(layers, inputs) == (10,)
@@ -63,7 +61,7 @@ def test_classifier_fits_the_embeddings_of_the_paper(
     assert adapter.validate_json(adapter.dump_json(layers)) == layers
 
 
-def test_another_classifier_is_a_function_and_a_line(
+def test_new_classifier_is_a_function_and_a_line(
     monkeypatch: pytest.MonkeyPatch, source: Source
 ) -> None:
     def narrow(task: Task, width: int, dropout: float) -> Layers:
@@ -73,9 +71,8 @@ def test_another_classifier_is_a_function_and_a_line(
 
     monkeypatch.setitem(cast("dict[str, object]", OF_MEASUREMENTS), "NARROW<width>", narrow)
     recipe = Recipe(epochs=1, batch=90)
-    settings = Settings(
-        embedding="6x8", classifier="NARROW7", encoder="fixed_simulated", recipe=recipe
-    )
+    chosen = {"classifier": "NARROW7", "encoder": "fixed_simulated", "recipe": recipe}
+    settings = Settings(embedding="6x8").model_copy(update=chosen)
     result = run_fit(settings, source, Camera())
     [first, *_] = [layer for layer in result.fit.model.layers if isinstance(layer, Linear)]
     assert (first.inputs, first.outputs) == (48, 7)
@@ -93,11 +90,8 @@ def test_sensor_layers_of_a_classifier(name: str) -> None:
     bare = make_layers(name, dataclasses.replace(task(3, 12, 16), rectified=False))
     assert bare[0] == BatchNorm(features=576)
     assert not isinstance(bare[1], ReLU)
-
-
-def test_gain_comes_first() -> None:
-    layers = make_layers("LR", dataclasses.replace(task(), gain=20.0))
-    assert layers == (Affine(scale=20.0), *make_layers("LR", task()))
+    gained = make_layers(name, dataclasses.replace(task(), gain=20.0))
+    assert gained == (Affine(scale=20.0), *make_layers(name, task()))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -115,18 +109,15 @@ def test_automatic_exposure_reads_bright_and_dim_objects_alike(name: str) -> Non
     assert module(torch.zeros(1, 768)).isfinite().all()
 
 
-def test_vgg11_is_configuration_a() -> None:
+def test_paper_s_classifiers_have_their_sizes() -> None:
     layers = make_layers("VGG11", task(3, 32, 32))
     widths = [layer.outputs for layer in layers if isinstance(layer, Conv2d)]
     assert widths == [64, 128, 256, 256, 512, 512, 512, 512]
     parameters = sum(p.numel() for p in build_untrained(layers).parameters())
     # Its convolutions, their normalisation, the last layer, and the sensor's 2 x 3072.
     assert parameters == 9_217_728 + 2 * 2752 + 5130 + 2 * 3072
-
-
-def test_fc800_has_the_papers_size() -> None:
-    widths = [(r.inputs, r.outputs) for r in make_layers("FC800", task()) if isinstance(r, Linear)]
-    assert widths == [(768, 800), (800, 10)]
+    wide = [(r.inputs, r.outputs) for r in make_layers("FC800", task()) if isinstance(r, Linear)]
+    assert wide == [(768, 800), (800, 10)]
 
 
 @pytest.mark.parametrize("name", ["FC20", "MLP16", "CNN4", "VGG11"])
@@ -167,10 +158,8 @@ def test_of_decoded_scenes() -> None:
     # Two stages, 14 and 7 pixels long; the classifier after them sees every place by itself.
     widths = [(r.inputs, r.outputs, r.stride) for r in layers if isinstance(r, Conv2d)]
     assert widths == [(2, 32, 2), (32, 64, 2)]
-    assert [(r.inputs, r.outputs) for r in layers if isinstance(r, Linear)] == [
-        (64 * 7 * 7, 128),
-        (128, 10),
-    ]
+    hidden, last = [(r.inputs, r.outputs) for r in layers if isinstance(r, Linear)]
+    assert (hidden, last) == ((64 * 7 * 7, 128), (128, 10))
     parameters = sum(p.numel() for p in build_untrained(layers).parameters())
     first = 32 * (2 * 25 + 2 * 32 * 9)
     second = 64 * (32 * 9 + 2 * 64 * 9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -32,36 +33,25 @@ def names(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-BAD_FILES = [
-    ("a.zip", "use a name that ends in .veilcam"),
-    ("none/a.veilcam", "make the folder none first"),
-    ("file/a.veilcam", "make the folder file first"),
-    ("folder.veilcam", "is a folder, use another name"),
-    ("/proc/a.veilcam", "cannot be written to .*: use another place"),
-    (f"{LONG}.veilcam", r"cannot be written to \(File name too long\)"),
-]
-BAD_FOLDERS = [
-    ("file", r"cannot be written to \(Not a directory\): use another place"),
-    ("file/inside", "cannot be written to"),
-    ("link", "cannot be written to"),
-    ("/proc/a", "cannot be written to"),
-    (LONG, r"cannot be written to \(File name too long\)"),
-]
-
-
-@pytest.mark.parametrize(("name", "reason"), BAD_FILES)
-def test_bad_files(folder: Path, name: str, reason: str) -> None:
+@pytest.mark.parametrize(
+    ("option", "name", "reason"),
+    [
+        ("--out", "a.zip", "use a name that ends in .veilcam"),
+        ("--out", "none/a.veilcam", "make the folder none first"),
+        ("--out", "file/a.veilcam", "make the folder file first"),
+        ("--out", "folder.veilcam", "is a folder, use another name"),
+        ("--out", "/proc/a.veilcam", "cannot be written to .*: use another place"),
+        ("--out", f"{LONG}.veilcam", r"cannot be written to \(File name too long\)"),
+        ("--work", "file", r"cannot be written to \(Not a directory\): use another place"),
+        *(("--work", name, "cannot be written to") for name in ("file/inside", "link", "/proc/a")),
+        ("--work", LONG, r"cannot be written to \(File name too long\)"),
+    ],
+)
+def test_bad_places(folder: Path, option: str, name: str, reason: str) -> None:
     before = names(folder)
-    with pytest.raises(TrainingError, match=f"--out .*{reason}"):
-        check_file("--out", Path(name), ".veilcam")
-    assert names(folder) == before
-
-
-@pytest.mark.parametrize(("name", "reason"), BAD_FOLDERS)
-def test_bad_folders(folder: Path, name: str, reason: str) -> None:
-    before = names(folder)
-    with pytest.raises(TrainingError, match=f"--work .*{reason}"):
-        check_folder("--work", Path(name))
+    check = partial(check_file, ending=".veilcam") if option == "--out" else check_folder
+    with pytest.raises(TrainingError, match=f"{option} .*{reason}"):
+        check(option, Path(name))
     assert names(folder) == before
 
 
@@ -83,17 +73,11 @@ FIT, KEYRING, FRESH = ("fit",), ("keyring",), ("fit-fresh", "--masks", "5", "--e
 @pytest.mark.parametrize(
     "arguments",
     [
-        (*FIT, "--out", "folder.veilcam"),
-        (*FIT, "--out", "/proc/a.veilcam"),
-        (*FIT, "--work", "/proc/a"),
-        (*FIT, "--work", "file"),
-        (*FIT, "--tensorboard", "file"),
+        *((*FIT, "--out", "folder.veilcam"), (*FRESH, "--out", "folder.veilcam")),
+        *((*command, "--out", "/proc/a.veilcam") for command in (FIT, KEYRING, FRESH)),
+        *((*command, "--out", "a.veilcam", "--work", "file") for command in (FIT, KEYRING, FRESH)),
+        *((*FIT, "--work", "/proc/a"), (*FIT, "--tensorboard", "file")),
         (*FIT, "--csv", "/proc/a.csv"),
-        (*KEYRING, "--out", "/proc/a.veilcam"),
-        (*KEYRING, "--out", "a.veilcam", "--work", "file"),
-        (*FRESH, "--out", "folder.veilcam"),
-        (*FRESH, "--out", "/proc/a.veilcam"),
-        (*FRESH, "--out", "a.veilcam", "--work", "file"),
         ("download", "mnist"),
     ],
     ids=" ".join,

@@ -29,7 +29,7 @@ def camera(source: Source) -> FreshCamera:
 
 
 @pytest.mark.parametrize("form", [ReleaseForm.RAW, ReleaseForm.WHITE])
-def test_without_a_key_one_sees_the_released_form(
+def test_without_a_key_one_sees_the_form(
     source: Source, camera: FreshCamera, form: ReleaseForm
 ) -> None:
     mask = next(KeylessCamera(camera, form).masks("x"))
@@ -48,9 +48,7 @@ def test_without_a_key_one_sees_the_released_form(
         assert torch.allclose(seen.norm(dim=1), torch.full((len(seen),), size**0.5), rtol=rounding)
 
 
-def test_every_mask_is_turned_by_a_key_of_its_own_and_a_seed_gives_them_again(
-    source: Source, camera: FreshCamera
-) -> None:
+def test_every_mask_is_turned_by_a_key_of_its_own(source: Source, camera: FreshCamera) -> None:
     scenes = source.test().scenes(slice(0, 4))
 
     def seen(purpose: str) -> list[torch.Tensor]:

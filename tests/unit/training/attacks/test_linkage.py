@@ -65,9 +65,9 @@ def test_network_links_what_is_alike_and_nothing_else(fit: str) -> None:
     assert found.shown > link_area(angles, *judged)
 
     nothing = [captures(seed, leaking=False) for seed in (4, 5, 6)]
-    blind = FITS[fit](nothing[0], nothing[1], epochs=2)
+    taught = FITS[fit](nothing[0], nothing[1], epochs=2)
     with torch.no_grad():
-        found = linkage_gain(blind(*nothing[2]).double().numpy())
+        found = linkage_gain(taught(*nothing[2]).double().numpy())
     # Of three normal deviates one exceeds 3.5 with a chance of 0.14 %; the seeds are fixed.
     assert found.value < 3.5 * found.error
 
@@ -93,8 +93,8 @@ def test_cosines_see_past_what_captures_share() -> None:
 def test_first_ranks_are_those_whose_own_scores_highest() -> None:
     scores = torch.tensor([[[3.0, 1, 2], [1, 2, 3], [0, 0, 1]]])
     assert first_ranks(scores).tolist() == [[True, False, True]]
-    blind = torch.rand(200, 50, 50, generator=torch.Generator().manual_seed(1))
-    share = float(first_ranks(blind).double().mean())
+    noise = torch.rand(200, 50, 50, generator=torch.Generator().manual_seed(1))
+    share = float(first_ranks(noise).double().mean())
     # One in fifty, of 10,000: standard error 0.14 %.
     assert abs(share - 0.02) < 5 * 0.0014
 
@@ -117,6 +117,10 @@ def luck(first: Tensor) -> float:
     return 1.1 * float(norm.isf(5e-5)) / math.sqrt(12 * pairs)
 
 
+def blind(link: Link, nothing: tuple[Tensor, Tensor]) -> None:
+    assert abs(link_area(link, *nothing) - 0.5) < luck(nothing[0])
+
+
 def test_changes_by_masks_are_divided_out_of_cosines() -> None:
     learned, asked = captures(1, leaking=True), captures(2, leaking=True)
     plain = partial(by_cosines, mean=torch.zeros(PIXELS))
@@ -126,9 +130,7 @@ def test_changes_by_masks_are_divided_out_of_cosines() -> None:
     best = link_area(plain, asked[0] / deviations, asked[1] / deviations)
     assert abs(link_area(link, *asked) - best) < luck(asked[0])
     assert link_area(plain, *asked) < best - luck(asked[0])
-    nothing = captures(3, leaking=False)
-    link = by_known_spread(captures(4, leaking=False), ridge=1e-3)
-    assert abs(link_area(link, *nothing) - 0.5) < luck(nothing[0])
+    blind(by_known_spread(captures(4, leaking=False), ridge=1e-3), captures(3, leaking=False))
 
 
 def test_angles_and_lengths_together_say_more_than_either() -> None:
@@ -145,9 +147,7 @@ def test_angles_and_lengths_together_say_more_than_either() -> None:
     both = link_area(by_known_angles(learned), *asked)
     angles = link_area(partial(by_cosines, mean=torch.zeros(PIXELS)), *asked)
     assert both > max(angles, link_area(by_known_lengths(learned), *asked)) + luck(asked[0])
-    nothing = captures(3, leaking=False)
-    blind = by_known_angles(captures(4, leaking=False))
-    assert abs(link_area(blind, *nothing) - 0.5) < luck(nothing[0])
+    blind(by_known_angles(captures(4, leaking=False)), captures(3, leaking=False))
     # Where lengths are all alike, angles are what there is.
     unit = normalize(asked[0], dim=2), normalize(asked[1], dim=2)
     assert abs(link_area(by_known_angles(unit), *unit) - angles) < luck(unit[0])
@@ -179,4 +179,4 @@ def test_rare_lengths_say_more() -> None:
     assert abs(found - link_area(bayes, *asked)) < luck(asked[0])
     nothing = captures(3, leaking=False)
     unit = normalize(nothing[0], dim=2), normalize(nothing[1], dim=2)
-    assert abs(link_area(by_known_lengths(unit), *unit) - 0.5) < luck(unit[0])
+    blind(by_known_lengths(unit), unit)

@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 import torch
 from scipy.stats import binom
+from tests.unit.training.attacks.test_known_pairs import random
 from torch import Tensor
 
 from veilcam_training.attacks.networks import TRIALS, by_means
@@ -26,10 +27,6 @@ from veilcam_training.attacks.sets import (
 
 PIXELS, CAPTURES, SETS = 12, 30, 160
 CLASSES = 3
-
-
-def random(*shape: int, seed: int) -> Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def labels(seed: int, sets: int = SETS) -> Tensor:

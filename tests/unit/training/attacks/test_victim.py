@@ -58,9 +58,7 @@ def _victim(
     return Victim(light, source, release, decoding=decoding, snr_db=snr_db, generator=generator)
 
 
-def test_capture_is_the_light_of_its_mask_at_the_ratio_that_was_asked_for(
-    light: TransferOperator,
-) -> None:
+def test_capture_is_the_light_of_its_mask_at_the_ratio_asked_for(light: TransferOperator) -> None:
     victim = _victim(light, _fresh(), snr_db=math.inf)
     mask, scenes = victim.mask(), _scenes(50)
     clear = victim.capture(mask, scenes)
@@ -92,9 +90,7 @@ def test_fresh_masks_never_come_again_and_stored_ones_do(light: TransferOperator
     assert len({mask.key for mask in shown}) == 20
 
 
-def test_stored_masks_are_prepared_once_for_all_cameras_that_share_them(
-    light: TransferOperator,
-) -> None:
+def test_stored_masks_are_prepared_once_for_all_their_cameras(light: TransferOperator) -> None:
     stored = StoredMasks.random(CAMERA, 2, torch.Generator().manual_seed(1))
     shared: dict[int, Prepared] = {}
     cameras = [
@@ -119,12 +115,11 @@ def test_release_of_ones_own_is_taken(light: TransferOperator) -> None:
     clear = _victim(light, _fresh(), snr_db=math.inf)
     victim = _victim(light, _fresh(), snr_db=math.inf, release=doubled)
     scenes = _scenes(4)
-    assert torch.equal(
-        victim.capture(victim.mask(), scenes), 2 * clear.capture(clear.mask(), scenes) + 1
-    )
+    wanted = 2 * clear.capture(clear.mask(), scenes) + 1
+    assert torch.equal(victim.capture(victim.mask(), scenes), wanted)
 
 
-def test_white_is_a_direction_and_wants_statistics(
+def test_white_is_a_direction_by_statistics(
     light: TransferOperator, decoding: SceneDecoding
 ) -> None:
     victim = _victim(light, _fresh(), release=FORMS["white"], decoding=decoding)
@@ -150,8 +145,5 @@ def test_watching_gives_a_mask_to_every_row(light: TransferOperator) -> None:
     assert seen.released.shape == (3, 2, EMBEDDING.size)
     assert seen.epochs.tolist() == [1, 2, 3]
     assert "weights" not in repr(seen)
-
-
-def test_no_masks_at_all_are_refused() -> None:
     with pytest.raises(TrainingError, match="store one"):
         StoredMasks([])

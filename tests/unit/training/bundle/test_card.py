@@ -28,22 +28,11 @@ KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 
 
 def row(threat: str, outcome: Outcome) -> CardRow:
-    return CardRow(
-        threat=threat,
-        title="a title",
-        given="what leaves",
-        attack="a network",
-        metric="digits",
-        figure=0.2,
-        end=0.8,
-        unit="points",
-        chance=0.0,
-        threshold=1.0,
-        reason="because",
-        samples=1000,
-        masks=100,
-        outcome=outcome,
-    )
+    texts = {"title": "a title", "given": "what leaves", "attack": "a network", "metric": "digits"}
+    numbers = {"figure": 0.2, "end": 0.8, "chance": 0.0, "threshold": 1.0}
+    counts = {"samples": 1000, "masks": 100}
+    more = {"threat": threat, "unit": "points", "reason": "because", "outcome": outcome}
+    return CardRow.model_validate({**texts, **numbers, **counts, **more})
 
 
 def card_of(bundle: Bundle, *rows: CardRow) -> PrivacyCard:

@@ -23,10 +23,7 @@ from veilcam_training.bundle import BundleError, read_bundle, write_bundle
         ("x" * 65, "has 65 characters"),
         ("", "is empty"),
         ("  ", "is empty"),
-        ("nothing", "is the word"),
-        ("None", "is the word"),
-        ("UNKNOWN", "is the word"),
-        ("unavailable", "is the word"),
+        *((word, "is the word") for word in ("nothing", "None", "UNKNOWN", "unavailable")),
     ],
 )
 def test_label_that_nobody_can_use_is_refused(tmp_path: Path, label: str, said: str) -> None:
@@ -43,18 +40,8 @@ def test_label_that_nobody_can_use_is_refused(tmp_path: Path, label: str, said: 
 
 
 def test_label_of_any_language_is_taken(tmp_path: Path) -> None:
-    names = (
-        "café",
-        "猫",
-        "می\u200cخواهم",
-        "👩\u200d🚀",
-        "no one",
-        "x" * 64,
-        "none of them",
-        "a b",
-        "ß",
-        "1",
-    )
+    foreign = ("café", "猫", "می\u200cخواهم", "👩\u200d🚀", "ß")
+    names = (*foreign, "no one", "x" * 64, "none of them", "a b", "1")
     write_bundle(tmp_path / "a.veilcam", dataclasses.replace(make_bundle(), labels=names))
     assert read_bundle(tmp_path / "a.veilcam").labels == names
 

@@ -8,11 +8,13 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from pydantic import TypeAdapter
 
 from veilcam_training.bundle import BundleError, LayerRecord, Network
 from veilcam_training.bundle import layers as L  # noqa: N812 - a test of every name in it
+from veilcam_training.bundle.classifier import MAX_LAYERS, output_shape
 from veilcam_training.models.classifiers import SceneTask, Task, make_layers
-from veilcam_training.models.network import build_untrained, weights_of
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
 
 UNIT = 2.0**-24
 """Rounding of float32."""
@@ -63,11 +65,9 @@ def stirred(layers: tuple[LayerRecord, ...], seed: int = 0) -> torch.nn.Sequenti
     return module.eval()
 
 
-def both(
-    layers: tuple[LayerRecord, ...], shape: tuple[int, ...], batch: int = 3
-) -> tuple[np.ndarray, np.ndarray]:
+def both(layers: tuple[LayerRecord, ...], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     module = stirred(layers)
-    x = 2 * torch.randn(batch, *shape, generator=torch.Generator().manual_seed(1))
+    x = 2 * torch.randn(3, *shape, generator=torch.Generator().manual_seed(1))
     with torch.inference_mode():
         wanted = module(x).numpy()
     found = Network.load(layers, weights_of(module))(x.numpy())
@@ -78,9 +78,18 @@ def both(
 
 @pytest.mark.parametrize(("layer", "shape"), CASES)
 def test_every_layer_is_torchs(layer: LayerRecord, shape: tuple[int, ...]) -> None:
+    """What it computes, its shape, its weights; and it leaves and comes back as JSON."""
     found, wanted = both((layer,), shape)
     # Sums of at most 50 products of numbers that are at most 10 or so.
     assert np.abs(found - wanted).max() <= 50 * 10 * UNIT
+    assert found.shape[1:] == layer.output_shape(shape)
+    held = build_untrained([layer]).state_dict()
+    needed = layer.parameters.items()
+    assert {f"0.{name}": (shape, str(dtype)) for name, (shape, dtype) in needed} == {
+        name: (tuple(t.shape), str(t.dtype).partition(".")[2]) for name, t in held.items()
+    }
+    adapter: TypeAdapter[LayerRecord] = TypeAdapter(LayerRecord)
+    assert adapter.validate_json(adapter.dump_json(layer)) == layer
 
 
 def test_every_kind_of_layer_is_tried() -> None:
@@ -88,37 +97,22 @@ def test_every_kind_of_layer_is_tried() -> None:
     assert kinds | {"residual"} == {layer.kind for layer, _ in CASES}
 
 
-@pytest.mark.parametrize(("layer", "_"), CASES)
-def test_weights_of_a_layer_are_those_of_torchs_module(
-    layer: LayerRecord, _: tuple[int, ...]
-) -> None:
-    held = build_untrained([layer]).state_dict()
-    wanted = {name: (tuple(t.shape), str(t.dtype).partition(".")[2]) for name, t in held.items()}
-    needed = layer.parameters.items()
-    assert {f"0.{name}": (shape, str(dtype)) for name, (shape, dtype) in needed} == wanted
-
-
 OF_EMBEDDINGS = Task(1, 24, 32, 10, rectified=True, normalisation="shared", exposure="automatic")
 OF_SCENES = SceneTask(2, 28, 28, 10, centred=True)
 
 
-@pytest.mark.parametrize("name", ["LR", "FC800", "MLP64", "CNN8"])
-def test_classifiers_of_embeddings_are_torchs(name: str) -> None:
-    found, wanted = both(
-        make_layers(name, OF_EMBEDDINGS, dropout=0.0 if name == "LR" else 0.3),
-        (OF_EMBEDDINGS.inputs,),
-    )
-    assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
-
-
-@pytest.mark.slow
-def test_largest_classifier_is_torchs() -> None:
-    found, wanted = both(make_layers("VGG11", OF_EMBEDDINGS), (OF_EMBEDDINGS.inputs,), batch=1)
-    assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
-
-
-def test_classifier_of_scenes_is_torchs() -> None:
-    found, wanted = both(make_layers("CNN8", OF_SCENES), (2 * 28 * 28,))
+@pytest.mark.parametrize(
+    ("name", "task", "dropout"),
+    [
+        ("LR", OF_EMBEDDINGS, 0.0),
+        *((name, OF_EMBEDDINGS, 0.3) for name in ("FC800", "MLP64", "CNN8")),
+        pytest.param("VGG11", OF_EMBEDDINGS, 0.0, marks=pytest.mark.slow),
+        ("CNN8", OF_SCENES, 0.0),
+    ],
+)
+def test_classifiers_are_torchs(name: str, task: Task | SceneTask, dropout: float) -> None:
+    inputs = 24 * 32 if isinstance(task, Task) else 2 * 28 * 28
+    found, wanted = both(make_layers(name, task, dropout=dropout), (inputs,))
     assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
 
 
@@ -141,3 +135,39 @@ def test_weights_that_do_not_fit_are_refused_and_not_shown() -> None:
         Network.load((layer,), {"0.weight": np.zeros((1, 2), np.float32)})
     network = Network.load((L.ReLU(),), {})
     assert "array" not in repr(network)
+
+
+@pytest.mark.parametrize(
+    ("layer", "shape"),
+    [
+        (L.Linear(inputs=6, outputs=4), (5,)),
+        (L.BatchNorm(features=6), (6, 2, 2)),
+        (L.LayerNorm(shape=(3,)), (6,)),
+        (L.Reshape(shape=(2, 3, 1)), (7,)),
+        (L.Resize(rows=2, columns=2), (4,)),
+        (L.Conv2d(inputs=3, outputs=4), (2, 5, 5)),
+        (L.Conv2d(inputs=3, outputs=4, groups=2), (3, 5, 5)),
+        (L.Conv2d(inputs=3, outputs=4, kernel=9, padding=0), (3, 5, 5)),
+        (L.MaxPool(kernel=4), (2, 3, 5)),
+        (L.AveragePool(), (2,)),
+        (L.Residual(layers=(L.Linear(inputs=6, outputs=5),)), (6,)),
+    ],
+)
+def test_layer_refuses_bad_sizes(layer: LayerRecord, shape: tuple[int, ...]) -> None:
+    with pytest.raises(L.LayerShapeError, match="gets shape"):
+        layer.output_shape(shape)
+
+
+def test_limits() -> None:
+    with pytest.raises(BundleError, match=r"layer 1 .resize. gets shape"):
+        output_shape([L.Reshape(shape=(16, 1, 1)), L.Resize(rows=4096, columns=4096)], 16)
+    with pytest.raises(BundleError, match="129 layers"):
+        output_shape([L.ReLU()] * (MAX_LAYERS + 1), 16)
+    huge = L.Linear(inputs=2**20, outputs=2**16)
+    with pytest.raises(BundleError, match="parameters: use at most"):
+        build_classifier([huge], {})
+
+
+def test_dropout_is_nothing_in_use() -> None:
+    x = torch.rand(2, 50)
+    torch.testing.assert_close(build_classifier([L.Dropout(probability=0.9)], {})(x), x)

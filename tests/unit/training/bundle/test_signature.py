@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import zipfile
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from tests.unit.training.bundle.conftest import pack, unpack
 
 from veilcam_server.demo_data import BUNDLE, FRESH
 from veilcam_training.bundle import (
@@ -44,26 +44,15 @@ def path(written: bytes, tmp_path: Path) -> Path:
     return result
 
 
-def parts_of(path: Path) -> dict[str, bytes]:
-    with zipfile.ZipFile(path) as file:
-        return {name: file.read(name) for name in file.namelist()}
-
-
-def pack(path: Path, parts: dict[str, bytes]) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, data in parts.items():
-            file.writestr(name, data)
-
-
 def test_signed_bundle_says_who_and_which_version_and_is_the_same_otherwise(path: Path) -> None:
     before = read_bundle(path)
     assert (before.version, before.owner) == (0, None)
-    unsigned = parts_of(path)
+    unsigned = unpack(path)
     sign_bundle(path, 7, KEY)
     after = read_bundle(path)
     assert (after.version, after.owner) == (7, OWNER)
     assert after.digest != before.digest
-    signed = parts_of(path)
+    signed = unpack(path)
     assert signed.pop("owner.json") != b""
     assert signed == unsigned
     assert path.stat().st_mode & 0o077 == 0
@@ -87,7 +76,7 @@ def test_version_is_written_and_a_signature_is_not_written_again(path: Path) -> 
     first = path.read_bytes()
     write_bundle(path, read_bundle(path))
     assert read_bundle(path).version == 3
-    assert parts_of(path)["owner.json"] == b'{"version":3,"owner":null,"signature":null}'
+    assert unpack(path)["owner.json"] == b'{"version":3,"owner":null,"signature":null}'
     assert path.read_bytes() == first
     sign_bundle(path, 3, KEY)
     with pytest.raises(BundleError, match="owner=None"):
@@ -97,7 +86,7 @@ def test_version_is_written_and_a_signature_is_not_written_again(path: Path) -> 
 @pytest.mark.slow
 def test_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path) -> None:
     sign_bundle(path, 7, KEY)
-    parts = parts_of(path)
+    parts = unpack(path)
     changed = json.loads(parts["bundle.json"])
     changed["task"] = "another"
     record = json.loads(parts["owner.json"])
@@ -106,15 +95,14 @@ def test_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path)
     flipped[5] ^= 1
     for edit in (
         {"bundle.json": json.dumps(changed).encode()},
-        {"owner.json": json.dumps({**record, "version": 8}).encode()},
-        {"owner.json": json.dumps({**record, "owner": str(other)}).encode()},
-        {"owner.json": json.dumps({**record, "signature": ""}).encode()},
-        {"owner.json": json.dumps({**record, "signature": "%%"}).encode()},
-        {
-            "owner.json": json.dumps(
-                {**record, "signature": base64.b64encode(flipped).decode()}
-            ).encode()
-        },
+        *(
+            {"owner.json": json.dumps({**record, **change}).encode()}
+            for change in (
+                {"version": 8},
+                {"owner": str(other)},
+                *({"signature": text} for text in ("", "%%", base64.b64encode(flipped).decode())),
+            )
+        ),
     ):
         pack(path, {**parts, **edit})
         with pytest.raises(BundleError, match="was changed after its owner signed it"):
@@ -128,19 +116,15 @@ def test_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     "part",
     [
-        b"",
-        b"{}",
-        b'{"version": 0}',
-        b'{"version": true}',
-        b'{"version": "1"}',
-        b'{"version": %d}' % (MAX_VERSION + 1),
+        *(b"", b"{}"),
+        *(b'{"version": %s}' % each for each in (b"0", b"true", b'"1"', b"%d" % (MAX_VERSION + 1))),
         b'{"version": 1, "more": 1}',
         b'{"version": 1, "owner": "veilcam-owner:AA=="}',
         b'{"version": 1, "signature": "AA=="}',
     ],
 )
 def test_version_that_is_none_is_refused(path: Path, part: bytes) -> None:
-    pack(path, {**parts_of(path), "owner.json": part})
+    pack(path, {**unpack(path), "owner.json": part})
     with pytest.raises(BundleError, match=r"owner.json is not valid"):
         read_bundle(path)
 
@@ -150,7 +134,7 @@ def test_owner_key_that_is_none_is_refused(path: Path, text: str) -> None:
     with pytest.raises(BundleError, match="no owner's key"):
         OwnerKey.parse(text)
     part = {"version": 1, "owner": text, "signature": "AA=="}
-    pack(path, {**parts_of(path), "owner.json": json.dumps(part).encode()})
+    pack(path, {**unpack(path), "owner.json": json.dumps(part).encode()})
     with pytest.raises(BundleError, match="no owner's key"):
         read_bundle(path)
 

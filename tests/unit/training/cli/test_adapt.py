@@ -65,7 +65,7 @@ def measurements(bundle: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_bundle_is_adapted_and_written_under_another_name(
+def test_bundle_is_adapted_under_another_name(
     bundle: Path, measurements: Path, tmp_path: Path
 ) -> None:
     out, again = tmp_path / "adapted.veilcam", tmp_path / "again.veilcam"
@@ -87,9 +87,7 @@ def test_bundle_is_adapted_and_written_under_another_name(
 @pytest.mark.parametrize(
     ("out", "why"), [("sides.veilcam", "is the bundle itself"), ("a.txt", "ends in .veilcam")]
 )
-def test_bundle_itself_is_not_overwritten(
-    bundle: Path, measurements: Path, out: str, why: str
-) -> None:
+def test_bundle_itself_stays_as_it_is(bundle: Path, measurements: Path, out: str, why: str) -> None:
     before = bundle.read_bytes()
     command = ["adapt", str(bundle), str(measurements), "--out", str(bundle.parent / out)]
     result = runner.invoke(app, command)

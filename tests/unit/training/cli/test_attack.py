@@ -52,9 +52,7 @@ def test_card_is_written_and_travels(bundle: Path, tmp_path: Path) -> None:
     assert again["rows"] == json.loads(card.model_dump_json())["rows"]
 
 
-def test_options_that_do_not_go_together_are_refused_before_the_work(
-    bundle: Path, tmp_path: Path
-) -> None:
+def test_options_that_do_not_go_together_are_refused(bundle: Path, tmp_path: Path) -> None:
     for options, reason in (
         (["--resume"], "give --out"),
         (["--write", "--mode", "random"], "leave out --mode"),

@@ -35,9 +35,7 @@ from veilcam_training.experiments.model import make_model
         (Situation("cifar10", "learned", "27x36", "VGG11"), 32, "sgd", 20),
     ],
 )
-def test_papers_recipes(
-    situation: Situation, batch: int, optimiser: str, every: int | None
-) -> None:
+def test_paper_recipes(situation: Situation, batch: int, optimiser: str, every: int | None) -> None:
     recipe = find_recipe("paper", situation)
     assert recipe.epochs == 50
     assert recipe.batch == batch
@@ -83,9 +81,7 @@ SIZES = ("24x32", "12x16", "6x8", "3x4")
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
 @pytest.mark.parametrize("classifier", ["LR", "FC800", "CNN16"])
 @pytest.mark.parametrize("change", ["none", "shift", "rotate"])
-def test_best_recipes_can_be_used(
-    source: Source, encoder: str, classifier: str, change: str
-) -> None:
+def test_best_recipes_are_valid(source: Source, encoder: str, classifier: str, change: str) -> None:
     for embedding in SIZES if change == "none" else SIZES[:1]:
         recipe = find_recipe("best", Situation("mnist", encoder, embedding, classifier, change))
         assert Recipe.model_validate(recipe.model_dump()) == recipe
@@ -145,6 +141,11 @@ def test_file(tmp_path: Path) -> None:
     assert settings.recipe.jitter.rotation == 5
     assert settings.recipe.panel_errors.shift == 5e-5
     assert settings.recipe.panel_errors.places == 8
+    by_name = load_settings(write(tmp_path, 'recipe = "long"'), {})
+    assert by_name.recipe == find_recipe("long", Situation())
+    assert load_settings(None, {}) == Settings(recipe=find_recipe("default", Situation()))
+    with pytest.raises(TrainingError, match="missing: give a TOML file"):
+        load_settings(tmp_path / "none.toml", {})
 
 
 def test_options_go_before_the_file(tmp_path: Path) -> None:
@@ -156,11 +157,6 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
     assert load_settings(write(tmp_path, FILE), {"recipe": {"base": "default"}}).recipe.batch == 256
 
 
-def test_recipe_by_its_name_alone(tmp_path: Path) -> None:
-    settings = load_settings(write(tmp_path, 'recipe = "long"'), {})
-    assert settings.recipe == find_recipe("long", Situation())
-
-
 def test_none_in_a_file_where_a_setting_may_be_none(tmp_path: Path) -> None:
     text = 'classifier = "FC800"\nrecipe = {base = "best", snr_db = "none", patience = "none"}'
     recipe = load_settings(write(tmp_path, text), {}).recipe
@@ -170,8 +166,7 @@ def test_none_in_a_file_where_a_setting_may_be_none(tmp_path: Path) -> None:
     assert recipe == best.model_copy(update={"snr_db": None, "patience": None})
 
 
-def test_without_a_file() -> None:
-    assert load_settings(None, {}) == Settings(recipe=find_recipe("default", Situation()))
+WHITE = "[recipe]\nnormalisation = 'white'\n"
 
 
 @pytest.mark.parametrize(
@@ -186,14 +181,8 @@ def test_without_a_file() -> None:
         ("[recipe]\nrate = 'none'", "rate is not valid"),
         ("[recipe]\nepochs = 'none'", "epochs is not valid"),
         ("[recipe]\nsnr_db = 'None'", "snr_db is not valid"),
-        (
-            "[recipe]\nnormalisation = 'white'\nprecision = 'mixed'",
-            r"settings\.toml: normalisation 'white' tells apart .*: use precision 'full'",
-        ),
-        (
-            "[recipe]\nnormalisation = 'white'\naveraging = 0.9",
-            r"settings\.toml: normalisation 'white' changes its coordinates .*: use averaging 0",
-        ),
+        (f"{WHITE}precision = 'mixed'", r"settings\.toml: normalisation .*: use precision 'full'"),
+        (f"{WHITE}averaging = 0.9", "normalisation 'white' changes its .*: use averaging 0"),
         ("[recipe]\nbase = 'none'", "recipe 'none' is unknown"),
         ("recipe = 3", "use a name or a table"),
         ("change = 'twist'", "change is not valid"),
@@ -207,11 +196,6 @@ def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="missing: give a TOML file"):
-        load_settings(tmp_path / "none.toml", {})
-
-
 def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     for name in TASKS:
         load_fresh_settings(None, {"task": name})
@@ -222,6 +206,8 @@ def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     assert settings.misalignment == Misalignment(shift=0.0, panels=4)
     assert load_fresh_settings(path, {"task": "mnist_6x8"}).spread == 0.25
     none = write(tmp_path, 'task = "mnist_6x8"\nspread = "none"\nmisalignment = "none"')
+    with pytest.raises(TrainingError, match="task mnist_6x8: sede is not valid"):
+        load_fresh_settings(None, {"task": "mnist_6x8", "sede": 3})
     without = load_fresh_settings(none, {})
     assert (without.spread, without.misalignment) == (None, None)
 
@@ -242,8 +228,3 @@ def test_files_of_fresh_masks_that_are_refused(tmp_path: Path, text: str, reason
     with pytest.raises(TrainingError, match=reason) as caught:
         load_fresh_settings(write(tmp_path, text), {})
     assert "\n" not in str(caught.value)
-
-
-def test_bad_option_names_its_task() -> None:
-    with pytest.raises(TrainingError, match="task mnist_6x8: sede is not valid"):
-        load_fresh_settings(None, {"task": "mnist_6x8", "sede": 3})

@@ -63,21 +63,11 @@ def test_fresh_masks_key_is_read(path: Path) -> None:
     assert epoch.key.levels().hex() not in repr(found)
 
 
-def test_last_line_that_was_cut_off_is_left_out(path: Path) -> None:
-    whole = written(path)
-    path.write_bytes(path.read_bytes()[:-5])
-    assert len(read_measurements(path)) == len(whole) - 1
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        {"label": "2"},
-        {"values": [0.0]},
-        {"values": "1234"},
-        {"values": [float("inf")] * 6},
-        {"mask_key": "ab" * 32},
-        {"epoch": None},
+        *({"label": "2"}, {"mask_key": "ab" * 32}, {"epoch": None}),
+        *({"values": values} for values in ([0.0], "1234", [float("inf")] * 6)),
     ],
     ids=str,
 )
@@ -90,24 +80,16 @@ def test_line_that_is_no_measurement_is_named(path: Path, change: dict[str, Any]
         read_measurements(path)
 
 
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
-        (b"", "is no file of measurements"),
-        (b"{}\n", "is no file of measurements"),
-        (b'{"format": "veilcam-recording", "version": 1}\n', "is no file of measurements"),
-    ],
-)
-def test_another_file_is_refused(path: Path, content: bytes, why: str) -> None:
-    path.write_bytes(content)
-    with pytest.raises(TrainingError, match=why):
-        read_measurements(path)
-
-
 def test_file_without_measurements_is_refused(path: Path, tmp_path: Path) -> None:
-    written(path)
+    whole = written(path)
+    path.write_bytes(path.read_bytes()[:-5])
+    assert len(read_measurements(path)) == len(whole) - 1
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     with pytest.raises(TrainingError, match="holds no measurements"):
         read_measurements(path)
+    for content in (b"", b"{}\n", b'{"format": "veilcam-recording", "version": 1}\n'):
+        path.write_bytes(content)
+        with pytest.raises(TrainingError, match="is no file of measurements"):
+            read_measurements(path)
     with pytest.raises(TrainingError, match="cannot be read"):
         read_measurements(tmp_path / "none")

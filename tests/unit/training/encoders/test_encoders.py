@@ -38,6 +38,7 @@ from veilcam_training.seeding import stream
 # A part of the real sensor, so that the PSFs of the baselines are computed in no time.
 CAMERA = Camera(sensor=Sensor(rows=760, columns=1014))
 SCENE, EMBEDDING = Scene(rows=7, columns=9), Embedding(3, 4)
+SETUP = Setup(CAMERA, SCENE, EMBEDDING)
 CHOSEN_AT_RANDOM = {"diffuser", "fixed_simulated", "learned", "digital"}
 
 
@@ -105,9 +106,7 @@ def test_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
 
 @pytest.mark.parametrize("name", ENCODERS)
 @pytest.mark.parametrize("snr_db", [10.0, 40.0])
-def test_noise_has_the_ratio_asked_for_after_the_optics(
-    name: str, snr_db: float, psf_file: Path
-) -> None:
+def test_noise_has_its_ratio_after_the_optics(name: str, snr_db: float, psf_file: Path) -> None:
     encoder = make(name, psf_file)
     v = encoder(scenes(colour=False)).detach()
     generator = stream(0, "noise")
@@ -260,27 +259,19 @@ def test_unknown_encoder_and_psf_that_is_not_wanted(psf_file: Path) -> None:
     with pytest.raises(TrainingError, match="use one of lens, coded_aperture"):
         fresh("pinhole", None)
     with pytest.raises(TrainingError, match="leave out --psf"):
-        make_encoder(
-            "learned", Setup(CAMERA, SCENE, EMBEDDING), stream(0, "encoder"), psf=PsfFile(psf_file)
-        )
+        make_encoder("learned", SETUP, stream(0, "encoder"), psf=PsfFile(psf_file))
     with pytest.raises(TrainingError, match="give --psf FILE"):
         fresh("fixed_measured", None)
 
 
 @pytest.mark.parametrize("name", ["lens", "coded_aperture", "diffuser", "fixed_measured"])
 def test_measured_psf_takes_the_place_of_a_simulated_one(name: str, psf_file: Path) -> None:
-    setup = Setup(CAMERA, SCENE, EMBEDDING)
-    file = PsfFile(psf_file, distance=2e-3)
-    made = make_encoder(name, setup, stream(0, "encoder"), psf=file)
-    wanted = PsfEncoder(setup, read_psf(file, math.nan))
-    torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
-
-
-def test_measured_lens_stands_where_the_ideal_one_does(psf_file: Path) -> None:
-    setup = Setup(CAMERA, SCENE, EMBEDDING)
-    made = make_encoder("lens", setup, stream(0, "encoder"), psf=PsfFile(psf_file))
-    wanted = PsfEncoder(setup, read_psf(PsfFile(psf_file), LENS_DISTANCE))
-    torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
+    """A measured lens stands where the ideal one does, if nobody says otherwise."""
+    for distance in (2e-3, None) if name == "lens" else (2e-3,):
+        file = PsfFile(psf_file, distance=distance)
+        made = make_encoder(name, SETUP, stream(0, "encoder"), psf=file)
+        wanted = PsfEncoder(SETUP, read_psf(file, LENS_DISTANCE if distance is None else math.nan))
+        torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
 
 
 def test_measured_psf_of_one_channel_and_of_another_distance(tmp_path: Path) -> None:
@@ -341,16 +332,16 @@ def test_psf_in_a_picture_is_read_by_the_one_reader_of_pictures(tmp_path: Path) 
         ({}, "not the file of a PSF"),
         ({"psf": np.ones((5, 6))}, "not the file of a PSF"),
         ({"psf": np.ones((2, 5, 6)), "pitch": 1e-5}, r"use \(3, rows, columns\)"),
-        ({"psf": np.zeros((5, 6)), "pitch": 1e-5}, "no irradiance"),
-        ({"psf": -np.ones((5, 6)), "pitch": 1e-5}, "no irradiance"),
-        ({"psf": np.full((5, 6), np.nan), "pitch": 1e-5}, "no irradiance"),
-        ({"psf": np.ones((5, 6)), "pitch": -1.0}, "use metres"),
-        ({"psf": np.ones((5, 6)), "pitch": 12.4}, "use metres"),
+        *(
+            ({"psf": np.full((5, 6), value), "pitch": 1e-5}, "no irradiance")
+            for value in (0, -1, np.nan)
+        ),
+        *(({"psf": np.ones((5, 6)), "pitch": pitch}, "use metres") for pitch in (-1.0, 12.4)),
         (b"PK\x03\x04", "not the file of a PSF"),
         ({"psf": np.array([object()]), "pitch": 1e-5}, "not the file of a PSF"),
     ],
 )
-def test_files_that_are_no_psf(
+def test_files_of_no_psf(
     tmp_path: Path, content: dict[str, Any] | bytes | None, reason: str
 ) -> None:
     path = tmp_path / "psf.npz"

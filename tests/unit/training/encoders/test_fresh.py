@@ -73,9 +73,7 @@ def test_wrong_key_is_another_masks(source: Source) -> None:
 
 
 @pytest.mark.slow
-def test_mask_is_prepared_for_the_nominal_panel_and_shown_by_a_displaced_one(
-    source: Source,
-) -> None:
+def test_mask_is_prepared_for_a_nominal_panel_and_shown_by_a_displaced_one(source: Source) -> None:
     exact = next(make_camera(source).masks("x"))
     shown = next(make_camera(source, misalignment=Misalignment(panels=2)).masks("x"))
     assert torch.equal(exact.decoder.mean_measurement, shown.decoder.mean_measurement)

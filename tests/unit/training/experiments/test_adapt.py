@@ -59,15 +59,9 @@ def measured(
     values = torch.stack(
         [scene.flatten() @ transfers[masks[place // 10]] for place, scene in enumerate(shown)]
     )
-    header = Header(
-        format="veilcam-measurements",
-        version=1,
-        device="d7" * 32,
-        bundle=bundle.digest,
-        mode="pairs",
-        labels=LABELS,
-        shape=EMBEDDING.shape,
-    )
+    made = {"format": "veilcam-measurements", "version": 1, "device": "d7" * 32, "mode": "pairs"}
+    camera = {"bundle": bundle.digest, "labels": LABELS, "shape": EMBEDDING.shape}
+    header = Header.model_validate({**made, **camera})
     epochs = tuple(f"{place // 10}" for place in range(count))
     return Measurements(header, values, labels, epochs, {}, "ab" * 32)
 
@@ -148,10 +142,8 @@ def test_bundle_reads_the_camera_better_afterwards(bundle: Bundle, tmp_path: Pat
     assert read.provenance["data"] == "drawn"
     record = read.provenance["adapted"]
     assert isinstance(record, dict)
-    assert record["bundle"] == bundle.digest
-    assert record["device"] == "d7" * 32
-    assert record["measurements"] == "ab" * 32
-    assert record["count"] == 80
+    wanted = {"device": "d7" * 32, "measurements": "ab" * 32, "count": 80, "bundle": bundle.digest}
+    assert wanted.items() <= record.items()
     assert read.accuracy is not None
     assert (read.accuracy.value, read.accuracy.samples) == (adapted.after, 80)
     assert "left out" in read.accuracy.test_set

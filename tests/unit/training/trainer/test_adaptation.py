@@ -44,9 +44,7 @@ def distance(one: nn.Module, other: nn.Module) -> float:
 
 
 @pytest.mark.parametrize("count", [FEW, 40])
-def test_camera_that_turns_its_numbers_around_is_learned(
-    classifier: nn.Sequential, count: int
-) -> None:
+def test_camera_that_turns_numbers_around_is_learned(classifier: nn.Sequential, count: int) -> None:
     values, labels = inputs(count)
     others, truth = inputs(400, seed=2)
     assert accuracy(classifier, others, truth) > 0.9
@@ -66,6 +64,16 @@ def test_classifier_that_reads_what_is_measured_is_kept(classifier: nn.Sequentia
     found = adapt(classifier, values + 0.5 * nn.functional.one_hot(labels, SIZE), labels)
     assert found.chosen.freedom == KEPT
     assert distance(found.classifier, classifier) == 0
+    # The trial of what is kept is the classifier itself.
+    values, labels = inputs(30)
+    kept = adapt(classifier, values, labels).trials[0]
+    assert kept.accuracy == pytest.approx(accuracy(classifier, values, labels))
+    loss = nn.functional.cross_entropy(classifier(values), labels)
+    assert kept.loss == pytest.approx(float(loss), rel=1e-5)
+    for count in (0, 1):
+        with pytest.raises(TrainingError, match="collect at least 2"):
+            adapt(classifier, *inputs(count))
+    assert adapt(classifier, *inputs(2)).trials
 
 
 def test_captures_left_out_are_not_seen() -> None:
@@ -81,17 +89,7 @@ def test_captures_left_out_are_not_seen() -> None:
     assert max(trial.accuracy for trial in found.trials) < 0.25 + 0.22
 
 
-def test_trial_of_what_is_kept_is_the_classifier_itself(classifier: nn.Sequential) -> None:
-    values, labels = inputs(30)
-    kept = adapt(classifier, values, labels).trials[0]
-    assert kept.accuracy == pytest.approx(accuracy(classifier, values, labels))
-    loss = nn.functional.cross_entropy(classifier(values), labels)
-    assert kept.loss == pytest.approx(float(loss), rel=1e-5)
-
-
-def test_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
-    classifier: nn.Sequential,
-) -> None:
+def test_what_is_held_moves_less_and_more_inputs_hold_less(classifier: nn.Sequential) -> None:
     values, labels = inputs(40)
     moved = [
         distance(fine_tune(classifier, Freedom("all", held), values.flip(1), labels), classifier)
@@ -106,20 +104,13 @@ def test_more_it_is_held_the_less_it_moves_and_more_inputs_hold_it_less(
 def test_last_layer_alone_changes_where_it_alone_may(classifier: nn.Sequential) -> None:
     before = {name: each.clone() for name, each in classifier.state_dict().items()}
     values, labels = inputs(20)
-    tuned = fine_tune(classifier, Freedom("last"), values.flip(1), labels)
-    changed = {
-        name for name, each in tuned.state_dict().items() if not torch.equal(each, before[name])
-    }
-    assert changed == {"3.weight", "3.bias"}
-    everything = fine_tune(classifier, Freedom("all"), values.flip(1), labels)
-    changed = {
-        name
-        for name, each in everything.state_dict().items()
-        if not torch.equal(each, before[name])
-    }
     # Means and variances stay: a few measurements have none to speak of.
-    assert changed == {name for name, _ in classifier.named_parameters()}
-    assert not any(each.requires_grad for each in everything.parameters())
+    everything = {name for name, _ in classifier.named_parameters()}
+    for freedom, wanted in (("last", {"3.weight", "3.bias"}), ("all", everything)):
+        tuned = fine_tune(classifier, Freedom(freedom), values.flip(1), labels)
+        state = tuned.state_dict().items()
+        assert {name for name, each in state if not torch.equal(each, before[name])} == wanted
+    assert not any(each.requires_grad for each in tuned.parameters())
     for name, each in classifier.state_dict().items():
         assert torch.equal(each, before[name])
 
@@ -133,10 +124,3 @@ def test_seed_alone_decides_what_is_left_out_and_the_order(classifier: nn.Sequen
     assert distance(first.classifier, same.classifier) == 0
     assert first.trials != other.trials
     assert distance(first.classifier, other.classifier) > 0
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_one_measurement_is_too_few(classifier: nn.Sequential, count: int) -> None:
-    with pytest.raises(TrainingError, match="collect at least 2"):
-        adapt(classifier, *inputs(count))
-    assert adapt(classifier, *inputs(2)).trials

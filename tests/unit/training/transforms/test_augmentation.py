@@ -29,29 +29,21 @@ def test_augmentation_of_nothing_changes_nothing() -> None:
     torch.testing.assert_close(Augmentation()(images, stream(0, "jitter")), images)
 
 
-def test_rotation() -> None:
-    y, x = places(Augmentation(rotation=30.0)(spot(14, 22), stream(0, "jitter")))
-    angles = torch.atan2(y, x).rad2deg()
-    assert float(angles.min()) == pytest.approx(-30, abs=1)
-    assert float(angles.max()) == pytest.approx(30, abs=1)
+def moved(row: int, column: int, **changes: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    return places(Augmentation(**changes)(spot(row, column), stream(0, "jitter")))
+
+
+def test_each_change_stays_within_its_bounds() -> None:
+    y, x = moved(14, 22, rotation=30.0)
     torch.testing.assert_close(y.hypot(x), torch.full_like(x, 8), rtol=0.02, atol=0)
-
-
-def test_scale() -> None:
-    _, x = places(Augmentation(scale=0.2)(spot(14, 22), stream(0, "jitter")))
-    assert float(x.min()) == pytest.approx(6.4, abs=0.1)
-    assert float(x.max()) == pytest.approx(9.6, abs=0.1)
-
-
-def test_shift() -> None:
-    y, x = places(Augmentation(shift=0.1)(spot(14, 14), stream(0, "jitter")))
-    for place in (y, x):
-        assert float(place.min()) == pytest.approx(-2.9, abs=0.05)
-        assert float(place.max()) == pytest.approx(2.9, abs=0.05)
-
-
-def test_mirror() -> None:
-    y, x = places(Augmentation(mirror=True)(spot(10, 20), stream(0, "jitter")))
+    for values, low, high, error in (
+        (torch.atan2(y, x).rad2deg(), -30, 30, 1),
+        (moved(14, 22, scale=0.2)[1], 6.4, 9.6, 0.1),
+        *((place, -2.9, 2.9, 0.05) for place in moved(14, 14, shift=0.1)),
+    ):
+        assert float(values.min()) == pytest.approx(low, abs=error)
+        assert float(values.max()) == pytest.approx(high, abs=error)
+    y, x = moved(10, 20, mirror=True)
     torch.testing.assert_close(y, torch.full_like(y, -4))
     torch.testing.assert_close(x.abs(), torch.full_like(x, 6))
     assert 0.45 < float((x < 0).float().mean()) < 0.55

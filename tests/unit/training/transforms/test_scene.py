@@ -173,6 +173,12 @@ def test_rescaled_objects_are_on_the_finest_grid_with_room_for_them() -> None:
     change = Rescale(IMAGE)
     assert [grid.pixel for grid in change.finer] == pytest.approx([0.12 / 56, 0.12 / 112])
     white = torch.ones(2000, 28, 28)
+    # Every height between its bounds is drawn.
+    assert change.scene.shape == (47, 47)
+    sides = change(white, stream(0, "change")).sum((1, 2)).sqrt() * IMAGE.pixel
+    assert float(sides.min()) == pytest.approx(0.02, abs=0.002)
+    assert float(sides.max()) == pytest.approx(0.20, abs=0.002)
+    assert float(sides.mean()) == pytest.approx(0.11, rel=0.03)
     heights = {}
     for shown in change.in_parts(white, stream(0, "change"), training=False):
         pixel = (change.scene, *change.finer)[shown.grid].pixel
@@ -214,16 +220,6 @@ def test_embeddings_are_in_the_order_of_the_images() -> None:
         torch.testing.assert_close(together[shown.chosen], seen)
 
 
-def test_rescale_draws_every_height_between_its_bounds() -> None:
-    change = Rescale(IMAGE)
-    assert change.scene.shape == (47, 47)
-    white = torch.ones(2000, 28, 28)
-    sides = change(white, stream(0, "change")).sum((1, 2)).sqrt() * IMAGE.pixel
-    assert float(sides.min()) == pytest.approx(0.02, abs=0.002)
-    assert float(sides.max()) == pytest.approx(0.20, abs=0.002)
-    assert float(sides.mean()) == pytest.approx(0.11, rel=0.03)
-
-
 @pytest.mark.parametrize("angle", [-math.pi / 2, math.pi / 2])
 def test_right_angle_is_exact(angle: float) -> None:
     c, s = math.cos(angle), math.sin(angle)
@@ -257,14 +253,6 @@ def test_perspective_moves_corners_inwards() -> None:
     torch.testing.assert_close(
         Perspective(IMAGE, 0.0)(images(), stream(0, "change")), images(), atol=1e-5, rtol=0
     )
-
-
-def test_homographies_take_corners_to_corners() -> None:
-    target = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    sources = target + 0.3 * torch.rand(5, 4, 2, generator=stream(0, "corners"))
-    ones = torch.ones(5, 4, 1)
-    mapped = torch.cat([sources, ones], 2).double() @ homographies(sources, target).mT
-    torch.testing.assert_close(mapped[..., :2] / mapped[..., 2:], target.double().expand(5, 4, 2))
 
 
 def read_one_by_one(image: Tensor, corners: Tensor, ends: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy.typing as npt
@@ -10,8 +11,10 @@ import torch
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_training.attacks.card.study import Plan
+from veilcam_training.attacks.card.study import Plan, Study
+from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.networks import TRIALS
+from veilcam_training.attacks.victim import ReleaseRule
 from veilcam_training.bundle import Bundle, Fresh, LayerRecord, Pair
 from veilcam_training.bundle.layers import Linear
 from veilcam_training.data import Images
@@ -21,17 +24,8 @@ CLASSES = 4
 CAMERA = Camera(panel=Panel(), window=Window(rows=24, columns=11))
 SCENE = Scene(8, 8)
 EMBEDDING = Embedding(6, 8)
-TINY = Plan(
-    own=40,
-    seen=80,
-    long=3,
-    own_long=5,
-    known=40,
-    epochs=8,
-    trials=TRIALS[1:2],
-    recovered=0,
-    quick=True,
-)
+SIZES: dict[str, int] = {"own": 40, "seen": 80, "long": 3, "own_long": 5, "known": 40, "epochs": 8}
+TINY = Plan(**SIZES, trials=TRIALS[1:2], recovered=0, quick=True)
 """800 captures: at chance, one in four, a share has a standard error of 1.5 points."""
 
 
@@ -94,3 +88,14 @@ def make_fresh() -> Bundle:
         ),
         subject="cd" * 32,
     )
+
+
+def make_study(
+    bundle: Bundle, plan: Plan = TINY, form: str | None = None, release: ReleaseRule | None = None
+) -> Study:
+    """Attack a camera with such a bundle, before bars; ``release`` takes its form's place."""
+    images = make_images()
+    subject = make_subject(bundle, images.scenes(slice(0, 300)), form=form, seed=1)
+    if release is not None:
+        subject = replace(subject, release=release)
+    return Study(subject, images, plan, seed=1, folder=None, tell=lambda *_: None)

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.unit.training.attacks.card.conftest import SCENE, TINY, make_fresh, make_images
+from tests.unit.training.attacks.card.conftest import SCENE, make_fresh, make_study
 
 from veilcam_training.attacks.card.faces import face_notes, load_faces
-from veilcam_training.attacks.card.study import Study
-from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.errors import TrainingError
 
 
@@ -34,9 +32,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_key_tells_faces_and_what_leaves_does_not(folder: Path) -> None:
-    subject = make_subject(make_fresh(), make_images().scenes(slice(0, 300)), seed=1)
-    study = Study(subject, make_images(), TINY, seed=1, folder=None, tell=lambda *_: None)
-    notes = face_notes(study, load_faces(folder, SCENE))
+    notes = face_notes(make_study(make_fresh()), load_faces(folder, SCENE))
     assert set(notes) == {"T8", "T9"}
     said = re.search(r"AUC ([\d.]+) from what leaves, ([\d.]+) with the key", notes["T8"])
     assert said is not None
