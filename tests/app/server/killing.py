@@ -32,8 +32,8 @@ def kill_writers(write: Callable[[int], Iterator[int]], found: Callable[[int], i
         time.sleep(random.uniform(0.0, 0.01))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        while number := os.read(told, 4):
-            said = int.from_bytes(number)
+        while left := os.read(told, 4):
+            said = int.from_bytes(left)
         os.close(told)
         said = found(said)
     return said

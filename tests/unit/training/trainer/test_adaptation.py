@@ -106,8 +106,9 @@ def test_last_layer_alone_changes_where_it_alone_may(classifier: nn.Sequential) 
     values, labels = inputs(20)
     # Means and variances stay: a few measurements have none to speak of.
     everything = {name for name, _ in classifier.named_parameters()}
-    for freedom, wanted in (("last", {"3.weight", "3.bias"}), ("all", everything)):
-        tuned = fine_tune(classifier, Freedom(freedom), values.flip(1), labels)
+    last, free = Freedom("last"), Freedom("all")
+    for freedom, wanted in ((last, {"3.weight", "3.bias"}), (free, everything)):
+        tuned = fine_tune(classifier, freedom, values.flip(1), labels)
         state = tuned.state_dict().items()
         assert {name for name, each in state if not torch.equal(each, before[name])} == wanted
     assert not any(each.requires_grad for each in tuned.parameters())
