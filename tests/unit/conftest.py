@@ -23,11 +23,9 @@ REFUSED = (
 """Calls that start a process."""
 LOADED = (
     ("veilcam_server.daemon", "build_service"),
-    ("veilcam_training.experiments.fit", "fit"),
+    ("veilcam_training.trainer.loop", "fit"),
 )
 """Functions that start a daemon or a fit, where their module is loaded at all."""
-FAKE = "veilcam_server.testing.fake_camera"
-"""Module of the camera for tests, which is a whole daemon."""
 
 
 def refuse(name: str) -> Callable[..., NoReturn]:
@@ -43,10 +41,11 @@ def refuse(name: str) -> Callable[..., NoReturn]:
 def _small(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     for owner, name in REFUSED:
         monkeypatch.setattr(owner, name, refuse(name))
+    ours = [sys.modules[name] for name in sorted(sys.modules) if name.startswith("veilcam_")]
     for module, name in LOADED:
         if module in sys.modules:
             refused, original = refuse(f"{module}.{name}"), getattr(sys.modules[module], name)
-            # Also where a test or the camera for tests imported it by its name.
-            for each in (sys.modules[module], request.module, sys.modules.get(FAKE)):
-                if getattr(each, name, None) is original:
+            # Also where a test or another module imported it by its name.
+            for each in (*ours, request.module):
+                if vars(each).get(name) is original:
                     monkeypatch.setattr(each, name, refused)

@@ -12,17 +12,20 @@ import numpy as np
 import pytest
 import torch
 from tests.unit.training.conftest import write_digits
+from torch import nn
 
 from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_training.bundle.layers import Affine
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import FreshSettings, Settings
-from veilcam_training.data import Source, open_source, split
+from veilcam_training.data import Source, Split, open_source, split
 from veilcam_training.encoders import PanelErrors
 from veilcam_training.encoders.fresh import FreshCamera, Misalignment
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
+from veilcam_training.experiments.keyring import as_pair
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
+from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import derive, seeded
 from veilcam_training.trainer import checkpoint as checkpoints
 from veilcam_training.trainer.callbacks import Epoch, MovingAverage
@@ -425,3 +428,32 @@ def test_streams_depend_on_seed_and_purpose_alone() -> None:
         assert torch.equal(torch.rand(1), first)
     with seeded(1, "b"):
         assert not torch.equal(torch.rand(1), first)
+
+
+@pytest.mark.parametrize("encoder", ["fixed_simulated", "lens", "learned"])
+def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str) -> None:
+    """One image, many times over: whatever differs between two measurements of it is noise."""
+    # The camera stays what it is.
+    chosen = settings(embedding="3x4", encoder=encoder, epochs=2, batch=30, mask_rate=1e-12)
+    model, first = make_model(chosen, source, Camera()), source.test().take(torch.zeros(60).long())
+    seen: list[torch.Tensor] = []
+
+    def look(_: object, measurements: tuple[torch.Tensor]) -> None:
+        if model.training:
+            seen.append(measurements[0].detach())
+
+    model.classifier.register_forward_pre_hook(look)
+    fit(model, Split(first, first), chosen.recipe, 0)
+    measurements = {tuple(measurement) for measurement in torch.cat(seen).tolist()}
+    assert len(measurements) == 2 * len(first)
+
+
+def test_bundle_holds_a_plain_classifier(source: Source) -> None:
+    chosen = settings(classifier="FC20", epochs=2, normalisation="white")
+    model = make_model(chosen, source, Camera())
+    assert not any(isinstance(layer, nn.ReLU) for layer in list(model.classifier)[:2])
+    fit(model, split(source.training()), chosen.recipe, 0)
+    pair = as_pair(model)
+    values = model.encoder(source.test().scenes(slice(0, 20)))
+    found = build_classifier(pair.layers, pair.weights)(values)
+    torch.testing.assert_close(found, model.classifier(values))

@@ -6,17 +6,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
-from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.keyring import as_pair
-from veilcam_training.experiments.model import make_model
 from veilcam_training.models.classifiers import Task, make_layers
-from veilcam_training.models.network import build_classifier
 from veilcam_training.models.whitening import WhitenedWeights, plain, whiten
-from veilcam_training.trainer.loop import fit
 
 
 def measurements(count: int = 4000) -> Tensor:
@@ -81,18 +73,6 @@ def test_plain_copy_acts_the_same() -> None:
     before = {name: tensor.clone() for name, tensor in before.items()}
     copied.train()(values.flip(1))
     assert all(tensor.equal(before[name]) for name, tensor in classifier.state_dict().items())
-
-
-def test_bundle_holds_a_plain_classifier(source: Source) -> None:
-    recipe = Recipe(epochs=2, batch=90, normalisation="white")
-    chosen = Settings(embedding="6x8", classifier="FC20", recipe=recipe)
-    model = make_model(chosen, source, Camera())
-    assert not any(isinstance(layer, nn.ReLU) for layer in list(model.classifier)[:2])
-    fit(model, split(source.training()), recipe, 0)
-    pair = as_pair(model)
-    values = model.encoder(source.test().scenes(slice(0, 20)))
-    found = build_classifier(pair.layers, pair.weights)(values)
-    torch.testing.assert_close(found, model.classifier(values))
 
 
 @pytest.mark.parametrize("name", ["LR", "CNN8", "VGG11"])

@@ -10,10 +10,9 @@ import torch
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
-from veilcam_training.data import Source, Split
+from veilcam_training.data import Source
 from veilcam_training.experiments.model import make_model
 from veilcam_training.models.lensless import LenslessClassifier
-from veilcam_training.trainer.loop import fit
 from veilcam_training.trainer.step import Inputs
 from veilcam_training.transforms.augmentation import Augmentation
 
@@ -46,20 +45,3 @@ def test_measurements_of_a_fixed_camera_are_computed_once(
     for step in range(3):
         inputs(torch.arange(30 * step, 30 * step + 30))
     assert len(encoded) - before == (3 if steps_encode else 0)
-
-
-@pytest.mark.parametrize("encoder", ["fixed_simulated", "lens", "learned"])
-def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str) -> None:
-    """One image, many times over: whatever differs between two measurements of it is noise."""
-    model, first = model_of(source, encoder=encoder), source.test().take(torch.zeros(60).long())
-    recipe = RECIPE.model_copy(update={"mask_rate": 1e-12})  # the camera stays what it is
-    seen: list[torch.Tensor] = []
-
-    def look(_: object, measurements: tuple[torch.Tensor]) -> None:
-        if model.training:
-            seen.append(measurements[0].detach())
-
-    model.classifier.register_forward_pre_hook(look)
-    fit(model, Split(first, first), recipe, 0)
-    measurements = {tuple(measurement) for measurement in torch.cat(seen).tolist()}
-    assert len(measurements) == recipe.epochs * len(first)
