@@ -365,7 +365,7 @@ def test_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) ->
 def test_epoch_that_validates_best_is_kept(source: Source) -> None:
     # At this rate the last epochs of a constant schedule are no better than earlier ones.
     recipe = Recipe(epochs=6, batch=90, rate=1.0, mask_rate=0.5, schedule="constant")
-    result = run(source, settings(recipe))
+    result = run(source, settings(recipe=recipe))
     accuracies = [epoch.validation_accuracy for epoch in result.history]
     assert result.best.validation_accuracy == max(accuracies)
     validation = split(source.training()).validation
@@ -397,7 +397,7 @@ def test_running_mean_of_weights(source: Source) -> None:
 
 def test_loss_that_is_no_number(source: Source) -> None:
     recipe = Recipe(epochs=2, batch=90, optimiser="sgd", rate=10.0, mask_rate=1e-3)
-    model = make_model(settings(recipe), source, Camera())
+    model = make_model(settings(recipe=recipe), source, Camera())
     with torch.no_grad():
         next(model.classifier.parameters()).fill_(float("nan"))
     with pytest.raises(TrainingError, match="use lower learning rates"):
