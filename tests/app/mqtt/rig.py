@@ -38,7 +38,6 @@ def free_port() -> int:
 
 
 def until(reached: Callable[[], bool], what: str) -> None:
-    """Wait until something is so."""
     end = time.monotonic() + PATIENCE
     while not reached():
         assert time.monotonic() < end, f"still not so: {what}"
@@ -85,8 +84,6 @@ class Heard:
 
 
 class House:
-    """Listens to everything on a broker."""
-
     def __init__(self, port: int) -> None:
         self.now: dict[str, str] = {}
         """The last message of each topic."""
@@ -103,7 +100,6 @@ class House:
         until(self.listens, "the house listens")
 
     def listens(self) -> bool:
-        """Whether it subscribed since it last forgot."""
         return self.subscribed > 0
 
     def _on_subscribe(self, *_: object) -> None:
@@ -118,18 +114,15 @@ class House:
         self._client.publish(topic, payload, 1, retain).wait_for_publish(PATIENCE)
 
     def says(self, topic: str, payload: str) -> None:
-        """Wait until a topic of the camera says this."""
         path = f"veilcam/{NODE}/{topic}"
         until(lambda: self.now.get(path) == payload, f"{topic} {payload}, not {self.now.get(path)}")
 
     def tells(self, topic: str, document: object) -> None:
-        """Wait until a topic of the camera holds this JSON document."""
         path = f"veilcam/{NODE}/{topic}"
         until(lambda: json.loads(self.now.get(path, "null")) == document, f"{topic} {document}")
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        """What the camera said happened, in the order in which it came."""
         path = f"veilcam/{NODE}/event"
         return [json.loads(message.payload) for message in self.heard if message.topic == path]
 

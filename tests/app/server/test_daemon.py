@@ -47,7 +47,6 @@ runner = CliRunner()
 
 @contextmanager
 def daemon(log: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A ``veilcamd serve`` and its URL."""
     command = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
     with (
         log.open("w") as errors,
@@ -157,7 +156,6 @@ def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file:
 
 
 def _others_give_up(url: str, options: list[str], tmp_path: Path) -> None:
-    """Another daemon on the same port, or on the same state, does not start."""
     port = url.rpartition(":")[2]
     for more, reason in (
         (["--port", port, "--state-dir", str(tmp_path / "s2")], f"port {port} is occupied"),

@@ -84,7 +84,6 @@ async def camera(given: dict[str, Any]) -> AsyncIterator[AsyncCamera]:
 
 
 async def reached(sdk: AsyncCamera, state: str) -> Status:
-    """Wait for a state, and return the status then."""
     while (status := await sdk.status()).state != state:
         await asyncio.sleep(0.02)
     return status

@@ -73,7 +73,6 @@ class Watched:
         return spi
 
     def check(self) -> None:
-        """What must hold however it ended."""
         assert self.steps[-2:] == ["ST7735R.blank", "ST7735R.close"]
         if self.cameras:  # nobody looks as long as it is not needed
             assert self.steps[-3] == "IMX477.close"
@@ -110,8 +109,6 @@ def broken(_: str) -> None:
 
 
 def break_off(monkeypatch: pytest.MonkeyPatch, ending: BaseException) -> None:
-    """End the self test behind an open mask."""
-
     def broken_off(_: object, device: Device, *__: object) -> None:
         device.display.show(np.full((9, 5), 63, np.uint8))
         raise ending

@@ -24,8 +24,6 @@ pytestmark = pytest.mark.anyio
 
 
 class Waiting:
-    """A waiting room, and the sockets in it by name."""
-
     def __init__(self, capacity: int) -> None:
         self.inside: Counter[str] = Counter()
         self.room = WaitingRoom(capacity, lambda peer: self.inside[peer])
@@ -37,7 +35,6 @@ class Waiting:
         return self.room.put(name[0], self.sockets[name])
 
     def take(self) -> str:
-        """Name of whose turn it is."""
         peer, taken = self.room.take()
         [name] = [name for name, one in self.sockets.items() if one is taken]
         assert name[0] == peer
@@ -45,7 +42,6 @@ class Waiting:
         return name
 
     def gone(self) -> list[str]:
-        """Who was sent away."""
         return [name for name, one in self.sockets.items() if one.fileno() < 0]
 
 
@@ -134,12 +130,10 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> ssl.SSLContext:
 
 
 def all_are_in(behind: Behind, crowd: int) -> bool:
-    """Whether none of a crowd is waiting any more."""
     return len(behind.connections) + behind.connections.dropped.total() == crowd
 
 
 async def asks_over_tls(address: tuple[str, int]) -> bool:
-    """Whether a client of TLS is answered."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     reader, writer = await asyncio.open_connection(*address, ssl=context)
@@ -188,8 +182,6 @@ async def test_handshake_that_takes_too_long(
 
 
 class Broken(socket.socket):
-    """A listening socket whose first connections cannot be accepted."""
-
     def __init__(self) -> None:
         super().__init__()
         self.errors = [errno.EMFILE, errno.ENOMEM, errno.EMFILE]
