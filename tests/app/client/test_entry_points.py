@@ -44,8 +44,6 @@ for line in sys.stdin:
 
 
 class Done(NamedTuple):
-    """Exit code of a program, and what it wrote."""
-
     code: int
     out: str
     err: str
@@ -88,7 +86,6 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    """The client is loaded, with the libraries of the base install."""
     with interpreter(tmp_path_factory.mktemp("base"), CLIENT) as run:
         yield run
 
@@ -160,7 +157,6 @@ def test_client_needs_no_extra_and_loads_numbers_and_cryptography_late(base: Run
 
 
 MODULES = ("veilcam_server", "veilcam_mqtt")
-"""Packages that ``python -m`` runs."""
 TELL = """
 import os, runpy, sys
 

@@ -42,7 +42,6 @@ def public_api() -> str:
 
 
 def members(kind: type) -> list[str]:
-    """Fields, properties and methods of a class that are its own."""
     fields = [f"{each}: {of}" for each, of in inspect.get_annotations(kind).items()]
     own = {name: value for name, value in vars(kind).items() if name[0] != "_"}
     methods = [

@@ -38,7 +38,6 @@ def free_port() -> int:
 
 
 def until(reached: Callable[[], bool], what: str) -> None:
-    """Wait until something is so."""
     end = time.monotonic() + PATIENCE
     while not reached():
         assert time.monotonic() < end, f"still not so: {what}"
@@ -51,11 +50,9 @@ class Mosquitto:
     def __init__(self, folder: Path, *lines: str) -> None:
         self.port = free_port()
         self._config = folder / "mosquitto.conf"
-        self._config.write_text(
-            "\n".join(
-                (f"listener {self.port} 127.0.0.1", "persistence false", "log_type error", *lines)
-            )
-        )
+        listener = f"listener {self.port} 127.0.0.1"
+        told = (listener, "persistence false", "log_type error", *lines)
+        self._config.write_text("\n".join(told))
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -85,8 +82,6 @@ class Heard:
 
 
 class House:
-    """Listens to everything on a broker."""
-
     def __init__(self, port: int) -> None:
         self.now: dict[str, str] = {}
         """The last message of each topic."""
@@ -103,7 +98,6 @@ class House:
         until(self.listens, "the house listens")
 
     def listens(self) -> bool:
-        """Whether it subscribed since it last forgot."""
         return self.subscribed > 0
 
     def _on_subscribe(self, *_: object) -> None:
@@ -118,18 +112,15 @@ class House:
         self._client.publish(topic, payload, 1, retain).wait_for_publish(PATIENCE)
 
     def says(self, topic: str, payload: str) -> None:
-        """Wait until a topic of the camera says this."""
         path = f"veilcam/{NODE}/{topic}"
         until(lambda: self.now.get(path) == payload, f"{topic} {payload}, not {self.now.get(path)}")
 
     def tells(self, topic: str, document: object) -> None:
-        """Wait until a topic of the camera holds this JSON document."""
         path = f"veilcam/{NODE}/{topic}"
         until(lambda: json.loads(self.now.get(path, "null")) == document, f"{topic} {document}")
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        """What the camera said happened, in the order in which it came."""
         path = f"veilcam/{NODE}/event"
         return [json.loads(message.payload) for message in self.heard if message.topic == path]
 
@@ -190,33 +181,27 @@ class Daemon:
                 if self.path == "/v1/events":
                     self._stream()
                 elif self.path == "/v1/status":
-                    self._answer(json.dumps(daemon.status))
+                    self._answer("application/json", json.dumps(daemon.status))
                 else:
-                    self._answer(daemon.watch.model_dump_json())
+                    self._answer("application/json", daemon.watch.model_dump_json())
 
-            def do_POST(self) -> None:
-                self._note()
-                self._answer(json.dumps(daemon.status["rotation"]))
-
-            def do_PUT(self) -> None:
-                self._note()
-                self._answer(daemon.watch.model_dump_json())
-
-            def _note(self) -> None:
+            def _change(self) -> None:
                 self.rfile.read(int(self.headers.get("Content-Length", 0)))
                 daemon.asked.append((self.command, self.path))
+                rotation = json.dumps(daemon.status["rotation"])
+                body = rotation if self.command == "POST" else daemon.watch.model_dump_json()
+                self._answer("application/json", body)
 
-            def _answer(self, body: str) -> None:
+            do_POST = do_PUT = _change  # noqa: N815 - the names http.server looks for
+
+            def _answer(self, media_type: str, body: str) -> None:
                 self.send_response(200)
-                self.send_header("Content-Type", "application/json")
+                self.send_header("Content-Type", media_type)
                 self.end_headers()
                 self.wfile.write(body.encode())
 
             def _stream(self) -> None:
-                self.send_response(200)
-                self.send_header("Content-Type", "text/event-stream")
-                self.end_headers()
-                self.wfile.write(b": hello\n\n")
+                self._answer("text/event-stream", ": hello\n\n")
                 told: queue.Queue[bytes | None] = queue.Queue()
                 daemon._streams.append(told)
                 with suppress(OSError):

@@ -50,7 +50,6 @@ Bridges = Callable[[], "subprocess.Popen[bytes]"]
 
 @pytest.fixture(scope="module")
 def bridges(daemon: Daemon, broker: Mosquitto, house: House) -> Iterator[Bridges]:
-    """The bridge of all tests, started anew after its end."""
     # Somebody switched the camera off before it came.
     house.publish(f"veilcam/{NODE}/off", "PRESS", retain=True)
     with ExitStack() as stack:

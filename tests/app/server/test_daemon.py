@@ -47,7 +47,6 @@ runner = CliRunner()
 
 @contextmanager
 def daemon(log: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A ``veilcamd serve`` and its URL."""
     command = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
     with (
         log.open("w") as errors,
@@ -113,17 +112,15 @@ def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file:
         camera.set_rotation(EveryCaptures(captures=1))
         results = [camera.classify() for _ in range(4)]
         assert len({result.epoch for result in results}) == 4
-        heard: list[Classified] = []
-        masks: list[str] = []
+        heard: dict[str, list[str]] = {"classification": [], "mask": []}
         for event in camera.events(last_event_id=start.id):
-            if isinstance(event, Classified):
-                heard.append(event)
-            if isinstance(event, MaskChanged):
-                masks.append(event.epoch)
-            if len(heard) == 4:
+            if isinstance(event, Classified | MaskChanged):
+                name = event.capture if isinstance(event, Classified) else event.epoch
+                heard[event.kind].append(name)
+            if len(heard["classification"]) == 4:
                 break
-        assert [event.capture for event in heard] == [result.id[:16] for result in results]
-        assert set(masks) >= {result.epoch for result in results[1:]}
+        assert heard["classification"] == [result.id[:16] for result in results]
+        assert {result.epoch for result in results[1:]} <= set(heard["mask"])
 
         # The async camera sees the same.
         async def ask() -> tuple[str, str]:
@@ -145,7 +142,16 @@ def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file:
         moved.rename(scene_file)
         camera.capture()
 
-        _others_give_up(url, options, tmp_path)
+        # Another daemon on the same port, or on the same state, does not start.
+        port = url.rpartition(":")[2]
+        for more, reason in (
+            (["--port", port, "--state-dir", str(tmp_path / "s2")], f"port {port} is occupied"),
+            (["--port", "0"], "another veilcamd uses"),
+        ):
+            result = runner.invoke(app, ["serve", "--simulate", *options, *more])
+            assert result.exit_code == 1
+            assert reason in result.stderr
+            assert result.stderr.count("veilcamd: error:") == 1
         camera.classify()
 
         process.send_signal(signal.SIGTERM)
@@ -154,19 +160,6 @@ def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file:
             Camera(url, max_retries=0).status()
     assert '"state": "stopping"' in log.read_text()
     _check_no_secrets(log.read_bytes(), bundle)
-
-
-def _others_give_up(url: str, options: list[str], tmp_path: Path) -> None:
-    """Another daemon on the same port, or on the same state, does not start."""
-    port = url.rpartition(":")[2]
-    for more, reason in (
-        (["--port", port, "--state-dir", str(tmp_path / "s2")], f"port {port} is occupied"),
-        (["--port", "0"], "another veilcamd uses"),
-    ):
-        result = runner.invoke(app, ["serve", "--simulate", *options, *more])
-        assert result.exit_code == 1
-        assert reason in result.stderr
-        assert result.stderr.count("veilcamd: error:") == 1
 
 
 def _check_no_secrets(text: bytes, bundle: Bundle) -> None:

@@ -101,7 +101,6 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
 
 
 def problem(status: int, code: str, *, retryable: bool = False, **headers: str) -> httpx.Response:
-    """Return what a daemon answers where something went wrong."""
     told = {
         "type": f"urn:veilcam:problem:{code}",
         "title": "A title",
@@ -118,7 +117,6 @@ def problem(status: int, code: str, *, retryable: bool = False, **headers: str) 
 
 
 def events(*told: dict[str, Any]) -> httpx.Response:
-    """Return a stream of these events."""
     return httpx.Response(
         200,
         text="".join(
@@ -129,13 +127,11 @@ def events(*told: dict[str, Any]) -> httpx.Response:
 
 
 def camera_of(kind: type, handler: Callable[[httpx.Request], Any], **options: Any) -> Any:
-    """Return a camera of either kind that asks a handler."""
     client = httpx.Client if kind is Camera else httpx.AsyncClient
     return kind(http_client=client(transport=httpx.MockTransport(handler)), **options)
 
 
 async def result(answer: Any) -> Any:
-    """Return what either kind of camera answers."""
     return await answer if inspect.isawaitable(answer) else answer
 
 
@@ -165,7 +161,6 @@ def anyio_backend() -> str:
 
 @pytest.fixture(params=[Camera, AsyncCamera])
 def kind(request: pytest.FixtureRequest) -> type:
-    """Either kind of camera, one after the other."""
     found: type = request.param
     return found
 
@@ -186,15 +181,12 @@ def receiver() -> ReceiverKey:
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Base of servers that log nothing."""
-
     def log_message(self, *_: object) -> None:
         pass
 
 
 @contextmanager
 def serving(handler: type[Handler]) -> Iterator[str]:
-    """Serve in threads, and yield the URL."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()

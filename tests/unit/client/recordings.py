@@ -23,7 +23,6 @@ STATUS["bundle"] = {**STATUS["bundle"], "mode": "fresh", "pairs": 0, "card": Non
 
 
 def answer(number: int) -> dict[str, Any]:
-    """The capture of this number, as the API answers it."""
     return {
         "id": f"{number:016x}",
         "epoch": f"{number:032x}",
@@ -73,6 +72,5 @@ class Daemon:
         return httpx.Response(200, json=taken)
 
     def camera(self, **options: Any) -> Camera:
-        """An SDK that asks it."""
         http = httpx.Client(transport=httpx.MockTransport(self))
         return Camera("http://localhost", http_client=http, max_retries=0, **options)

@@ -26,8 +26,6 @@ NOTES = Notes(
 
 
 class Device:
-    """Signs as a camera does."""
-
     def __init__(self) -> None:
         self._key = Ed25519PrivateKey.generate()
         self.public = self._key.public_key().public_bytes_raw().hex()
@@ -37,8 +35,6 @@ class Device:
 
 
 class Epoch:
-    """One epoch of a device, and its captures as they are answered."""
-
     def __init__(self, device: Device, receiver: ReceiverKey) -> None:
         self.name = secrets.token_hex(16)
         self.key = EpochKey.generate(device=device.public, bundle=BUNDLE)

@@ -101,10 +101,6 @@ def test_recording_overwrites_nothing_and_records_no_replay(path: Path, tmp_path
     assert not (tmp_path / "other").exists()
 
 
-def other_version(lines: list[Line]) -> None:
-    lines[0]["version"] = 2
-
-
 def no_captures(lines: list[Line]) -> None:
     del lines[1:]
 
@@ -124,7 +120,7 @@ RAW = {**answer(1)["embedding"], "form": "raw"}
             lambda lines: lines[2].update(verdict={**VERDICT, "label": "cat"}),
             "line 3: this label is not one of the camera's",
         ),
-        (other_version, "is no recording of this version"),
+        (lambda lines: lines[0].update(version=2), "is no recording of this version"),
         (no_captures, "holds no captures"),
     ],
 )

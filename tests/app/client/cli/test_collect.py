@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
 
+pytestmark = pytest.mark.usefixtures("url")
 runner = CliRunner()
 
 
@@ -29,7 +30,6 @@ def labels(path: Path) -> list[str]:
     return [json.loads(line)["label"] for line in path.read_text().splitlines()[1:]]
 
 
-@pytest.mark.usefixtures("url")
 def test_person_says_what_is_there(tmp_path: Path) -> None:
     file = tmp_path / "out.jsonl"
     result = runner.invoke(app, ["collect", str(file)], input="7\ncat\n1\n\n")
@@ -39,7 +39,6 @@ def test_person_says_what_is_there(tmp_path: Path) -> None:
     assert labels(file) == ["7", "1"]
 
 
-@pytest.mark.usefixtures("url")
 def test_pictures_are_held_up_and_taken_away(
     tmp_path: Path, pictures: Path, daemon: Daemon
 ) -> None:
@@ -60,7 +59,6 @@ def test_pictures_are_held_up_and_taken_away(
     assert labels(file) == ["1", "7"]
 
 
-@pytest.mark.usefixtures("url")
 def test_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path) -> None:
     shown, script = tmp_path / "shown", tmp_path / "viewer.py"
     script.write_text(
@@ -77,7 +75,6 @@ def test_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path) 
     assert set(shown.read_text().split()) <= {str(pictures / label / "0.png") for label in "17"}
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("options", "why"),
     [

@@ -239,19 +239,11 @@ def test_statistics_are_the_same() -> None:
     assert found.share == pytest.approx(known.share)
 
 
-_DEVICE = '''
+_DEVICE = """
 import sys
+from benchmarks.deploy.device_path import NotInstalled
 
-
-class Missing:
-    """As on a device: neither is installed."""
-
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("torch", "scipy"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-sys.meta_path.insert(0, Missing())
+sys.meta_path.insert(0, NotInstalled())
 
 import numpy as np
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
@@ -273,7 +265,7 @@ np.savez(
     estimate=decoder(seen),
     white=Whitening(decoder, key).whiten(seen),
 )
-'''
+"""
 
 
 def test_device_without_torch_does_what_training_does(tmp_path: Path) -> None:

@@ -33,7 +33,6 @@ def found(bench: Bench) -> dict[str, Any]:
 
 
 def operations(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Method with path, and the operation."""
     for path, methods in found["paths"].items():
         for method, operation in methods.items():
             yield f"{method.upper()} {path}", operation

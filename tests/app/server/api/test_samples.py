@@ -60,7 +60,6 @@ class Daemon:
         self.operations = {each["operationId"]: each for path in paths for each in path.values()}
 
     def prepare(self, operation: str) -> None:
-        """What must be the case for an operation to do what it says."""
         camera, names = self.camera, self.variables
         match operation:
             case "begin_session" | "end_session":
@@ -90,7 +89,6 @@ class Daemon:
                 camera.classify()
 
     def clear(self, operation: str) -> None:
-        """Let the next operation find what it wants."""
         match operation:
             case "start_calibration":
                 self.camera.cancel_calibration()
@@ -165,7 +163,6 @@ OPERATIONS = [
 
 
 def sources(daemon: Daemon, operation: str) -> tuple[dict[str, str], dict[str, Any]]:
-    """Both lines by language, and the operation."""
     found = daemon.operations[operation]
     return {each["lang"]: each["source"] for each in found["x-codeSamples"]}, found
 
@@ -188,7 +185,6 @@ def by_curl(daemon: Daemon, source: str) -> tuple[int, str]:
 
 
 def by_python(daemon: Daemon, source: str) -> Any:
-    """What a line of Python gives, with the names that its page imports."""
     names = {
         **{name: getattr(veilcam_client, name) for name in veilcam_client.__all__},
         **{name.lower(): value for name, value in daemon.variables.items()},
@@ -201,7 +197,6 @@ def by_python(daemon: Daemon, source: str) -> Any:
 
 
 def check(daemon: Daemon, found: dict[str, Any], status: int, body: str) -> None:
-    """That an answer is one of those that the document has."""
     content = found["responses"][str(status)].get("content", {})
     if "application/json" in content:
         schema = {

@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 import pytest
 from PIL import Image
+from pydantic import ValidationError
 
 from veilcam_client import (
     AsyncCamera,
@@ -29,6 +30,7 @@ from veilcam_client import (
 from veilcam_client.errors import ApiError
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.status import Status
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
 from veilcam_server.daemon import build_service
@@ -37,6 +39,7 @@ from veilcam_server.security.admission import Admission
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
 
+pytestmark = pytest.mark.anyio
 EXPOSURE = 0.2
 KEY = ReceiverKey.generate()
 """Of a receiver, which is told of the scene, too."""
@@ -80,6 +83,12 @@ async def camera(given: dict[str, Any]) -> AsyncIterator[AsyncCamera]:
         yield sdk
 
 
+async def reached(sdk: AsyncCamera, state: str) -> Status:
+    while (status := await sdk.status()).state != state:
+        await asyncio.sleep(0.02)
+    return status
+
+
 def seen_in(taken: Capture | Classification) -> int | None:
     """Which scene the camera says that it looked at, to its receivers alone."""
     return None if taken.notes is None else taken.notes.scene
@@ -92,7 +101,6 @@ def png(level: int) -> bytes:
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
 async def test_scene_held_up_is_what_captures_see(given: dict[str, Any]) -> None:
     async with camera(given) as sdk:
         first = await sdk.capture()
@@ -113,7 +121,6 @@ async def test_scene_held_up_is_what_captures_see(given: dict[str, Any]) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
 async def test_capture_under_way_sees_to_its_end_what_it_began_with(given: dict[str, Any]) -> None:
     async with camera({**given, "exposure": EXPOSURE}) as sdk:
         before = np.asarray(await sdk.capture())
@@ -127,7 +134,6 @@ async def test_capture_under_way_sees_to_its_end_what_it_began_with(given: dict[
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
 @pytest.mark.parametrize(
     ("content", "media_type", "status", "code", "detail"),
     [
@@ -153,60 +159,26 @@ async def test_scene_that_is_no_picture_changes_nothing(
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
-async def test_scene_api_has_to_be_allowed(given: dict[str, Any]) -> None:
-    async with camera({**given, "scene_api": False}) as sdk:
-        for picture in (png(0), None):
-            with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
-                await sdk.hold_scene(picture)
-            assert caught.value.code == "scene_api_off"
-
-
-@pytest.mark.slow
-@pytest.mark.anyio
 async def test_lease_holder_decides_what_the_camera_sees(given: dict[str, Any]) -> None:
-    async with camera(given) as sdk, client_of(sdk) as other, sdk.lease(seconds=30):
-        with pytest.raises(LeasedError):
-            await other.hold_scene(png(0))
+    async with camera(given) as sdk, sdk.lease(seconds=30):
+        other = AsyncCamera("http://localhost", http_client=sdk._transport.client, max_retries=0)
+        async with other:
+            with pytest.raises(LeasedError):
+                await other.hold_scene(png(0))
         assert (await sdk.hold_scene(png(0))).scene == 1
 
 
-@asynccontextmanager
-async def client_of(sdk: AsyncCamera) -> AsyncIterator[AsyncCamera]:
-    """Somebody else, at the same daemon."""
-    http = sdk._transport.client
-    async with AsyncCamera("http://localhost", http_client=http, max_retries=0) as other:
-        yield other
-
-
 def test_real_camera_takes_no_scenes() -> None:
-    from pydantic import ValidationError
-
     with pytest.raises(ValidationError, match="--scene-api is for a simulated camera"):
         Settings.model_validate({"device": "pi", "bundle": "a.veilcam", "scene_api": True})
 
 
-def difference(one: object, other: object) -> float:
-    """Relative L2."""
-    first, second = np.asarray(one), np.asarray(other)
-    return float(np.linalg.norm(first - second) / np.linalg.norm(first))
-
-
 @pytest.mark.thorough
-@pytest.mark.anyio
-@pytest.mark.parametrize(
-    "faults",
-    [
-        PanelFaults(dead=True),
-        PanelFaults(open_window=True),
-        PanelFaults(stuck=True),
-        PanelFaults(inverted=True),
-        PanelFaults(asleep=True),
-    ],
-)
+@pytest.mark.parametrize("fault", ["dead", "open_window", "stuck", "inverted", "asleep"])
 async def test_nothing_is_answered_behind_a_panel_that_does_not_hide(
-    given: dict[str, Any], faults: PanelFaults
+    given: dict[str, Any], fault: str
 ) -> None:
+    faults = PanelFaults.model_validate({fault: True})
     async with camera({**given, "rotation": EveryCaptures(captures=1)}) as sdk:
         good = await sdk.capture()
         await sdk.set_faults(Faults(panel=faults))
@@ -217,13 +189,11 @@ async def test_nothing_is_answered_behind_a_panel_that_does_not_hide(
         # A reset wakes a panel up that fell asleep, and mends no other.
         if not faults.asleep:
             await sdk.set_faults(Faults())
-        while (await sdk.status()).state != "ready":
-            await asyncio.sleep(0.02)
+        await reached(sdk, "ready")
         assert (await sdk.capture()).epoch != good.epoch
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
 async def test_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> None:
     async with camera({**given, "rotation": EveryCaptures(captures=1)}) as sdk:
         await sdk.capture()
@@ -237,24 +207,17 @@ async def test_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> Non
 
 
 @pytest.mark.thorough
-@pytest.mark.anyio
-@pytest.mark.parametrize(
-    ("faults", "code"),
-    [
-        (SensorFaults(gone=True), "sensor_timeout"),
-        (SensorFaults(silent=True), "sensor_timeout"),
-        (SensorFaults(stuck=True), "sensor_failed"),
-    ],
-)
+@pytest.mark.parametrize("fault", ["gone", "silent", "stuck"])
 async def test_sensor_that_fails_is_an_error_and_then_a_state(
-    given: dict[str, Any], faults: SensorFaults, code: str
+    given: dict[str, Any], fault: str
 ) -> None:
+    faults = SensorFaults.model_validate({fault: True})
     async with camera({**given, "capture_timeout": 0.05}) as sdk:
         await sdk.capture()
         await sdk.set_faults(Faults(sensor=faults))
         with pytest.raises(DeviceError) as caught:
             await sdk.capture()
-        assert caught.value.code == code
+        assert caught.value.code == ("sensor_failed" if faults.stuck else "sensor_timeout")
         assert (await sdk.status()).state == "ready"
         with suppress(DeviceError):  # the first frame after it was opened is none from before
             await sdk.capture()
@@ -267,13 +230,11 @@ async def test_sensor_that_fails_is_an_error_and_then_a_state(
             await sdk.capture()
         assert caught.value.code == "not_ready"
         await sdk.set_faults(Faults())
-        while (await sdk.status()).state != "ready":
-            await asyncio.sleep(0.02)
+        await reached(sdk, "ready")
         await sdk.capture()
 
 
 @pytest.mark.thorough
-@pytest.mark.anyio
 async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_themselves(
     given: dict[str, Any],
 ) -> None:
@@ -286,8 +247,7 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
             (Faults(panel=PanelFaults(gone=True), sensor=SensorFaults(gone=True)), "safe"),
         ):
             await sdk.set_faults(faults)
-            while (await sdk.status()).state != state:
-                await asyncio.sleep(0.02)
+            await reached(sdk, state)
             await asyncio.sleep(1.5)  # it is tried again meanwhile, in vain
             status = await sdk.status()
             assert status.state == state
@@ -297,8 +257,7 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
                 await sdk.capture()
             assert caught.value.code == "not_ready"
             await sdk.set_faults(Faults())
-            while (status := await sdk.status()).state != "ready":
-                await asyncio.sleep(0.02)
+            status = await reached(sdk, "ready")
             assert status.remedy is None
             captured = await sdk.capture()
             # Masks change again, too.
@@ -307,10 +266,14 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
-async def test_only_who_may_hold_scenes_breaks_the_camera(given: dict[str, Any]) -> None:
+async def test_scene_api_has_to_be_allowed(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:
-        with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
-            await sdk.set_faults(Faults(panel=PanelFaults(dead=True)))
-        assert caught.value.code == "scene_api_off"
+        for asked in (
+            sdk.hold_scene(png(0)),
+            sdk.hold_scene(None),
+            sdk.set_faults(Faults(panel=PanelFaults(dead=True))),
+        ):
+            with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
+                await asked
+            assert caught.value.code == "scene_api_off"
         assert np.asarray(await sdk.capture()).any()

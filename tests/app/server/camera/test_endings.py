@@ -73,7 +73,6 @@ class Watched:
         return spi
 
     def check(self) -> None:
-        """What must hold however it ended."""
         assert self.steps[-2:] == ["ST7735R.blank", "ST7735R.close"]
         if self.cameras:  # nobody looks as long as it is not needed
             assert self.steps[-3] == "IMX477.close"
@@ -107,6 +106,14 @@ def signalled(number: int) -> Callable[[str], None]:
 
 def broken(_: str) -> None:
     raise ZeroDivisionError
+
+
+def break_off(monkeypatch: pytest.MonkeyPatch, ending: BaseException) -> None:
+    def broken_off(_: object, device: Device, *__: object) -> None:
+        device.display.show(np.full((9, 5), 63, np.uint8))
+        raise ending
+
+    monkeypatch.setattr(OpticalSelfTest, "run", broken_off)
 
 
 @pytest.fixture
@@ -145,11 +152,7 @@ def test_daemon_that_is_ended(
 def test_start_that_is_broken_off_in_the_test(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch, ending: BaseException
 ) -> None:
-    def broken_off(_: object, device: Device, *__: object) -> None:
-        device.display.show(np.full((9, 5), 63, np.uint8))
-        raise ending
-
-    monkeypatch.setattr(OpticalSelfTest, "run", broken_off)
+    break_off(monkeypatch, ending)
     with pytest.raises(type(ending)):
         serve(settings, lambda _: None)
     watched.check()
@@ -171,10 +174,7 @@ def test_start_without_proof_serves_and_says_why(
     fault: Exception,
     condition: tuple[str, str],
 ) -> None:
-    def fail(*_: object) -> None:
-        raise fault
-
-    monkeypatch.setattr(OpticalSelfTest, "run", fail)
+    break_off(monkeypatch, fault)
     service = build_service(settings)
     status = service.status()
     assert ((status.state, status.remedy), status.detail) == (condition, str(fault))
@@ -187,11 +187,7 @@ def test_start_without_proof_serves_and_says_why(
 def test_start_that_meets_a_defect_serves_and_tells_nothing_of_it(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken_off(_: object, device: Device, *__: object) -> None:
-        device.display.show(np.full((9, 5), 63, np.uint8))
-        raise ZeroDivisionError("63 17 4")
-
-    monkeypatch.setattr(OpticalSelfTest, "run", broken_off)
+    break_off(monkeypatch, ZeroDivisionError("63 17 4"))
     with capture_logs() as logs:
         service = build_service(settings)
     status = service.status()

@@ -81,7 +81,6 @@ class Behind:
         await _turns()
 
     async def until(self, condition: Callable[[], object]) -> None:
-        """Wait until ``condition`` holds."""
         async with asyncio.timeout(ENOUGH):
             while not condition():
                 await asyncio.sleep(0.001)
@@ -102,8 +101,6 @@ Serving: TypeAlias = Callable[..., AbstractAsyncContextManager[Behind]]
 
 @pytest.fixture
 def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
-    """A factory of servers on a free port of loopback."""
-
     @asynccontextmanager
     async def serve(
         *,

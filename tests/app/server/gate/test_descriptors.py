@@ -14,8 +14,6 @@ from veilcam_server.gate.descriptors import RESERVE, WAITING, Room, room_for
 
 
 class Limits:
-    """What the operating system allows."""
-
     def __init__(self, soft: int, hard: int) -> None:
         self.soft, self.hard = soft, hard
 

@@ -20,10 +20,10 @@ from veilcam_server.gate.entrance import Entrance, WaitingRoom
 from veilcam_server.gate.protocol import Deadlines
 from veilcam_server.security.tls import server_context
 
+pytestmark = pytest.mark.anyio
+
 
 class Waiting:
-    """A waiting room, and the sockets in it by name."""
-
     def __init__(self, capacity: int) -> None:
         self.inside: Counter[str] = Counter()
         self.room = WaitingRoom(capacity, lambda peer: self.inside[peer])
@@ -35,7 +35,6 @@ class Waiting:
         return self.room.put(name[0], self.sockets[name])
 
     def take(self) -> str:
-        """Name of whose turn it is."""
         peer, taken = self.room.take()
         [name] = [name for name, one in self.sockets.items() if one is taken]
         assert name[0] == peer
@@ -43,7 +42,6 @@ class Waiting:
         return name
 
     def gone(self) -> list[str]:
-        """Who was sent away."""
         return [name for name, one in self.sockets.items() if one.fileno() < 0]
 
 
@@ -74,7 +72,6 @@ def test_peer_with_most_loses_its_oldest_where_too_many_wait() -> None:
     assert [waiting.take() for _ in range(3)] == ["b1", "a3", "a4"]
 
 
-@pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
 async def test_crowd_that_dribbles_shuts_nobody_out(serving: Serving, said: bytes) -> None:
     async with serving(limit=8) as behind:
@@ -87,7 +84,6 @@ async def test_crowd_that_dribbles_shuts_nobody_out(serving: Serving, said: byte
         assert len(behind.connections) <= 8
 
 
-@pytest.mark.anyio
 async def test_crowd_pushes_out_nobody_else(serving: Serving) -> None:
     async with serving(limit=8) as behind:
         # Slow, but honest, and older than all others.
@@ -103,7 +99,6 @@ async def test_crowd_pushes_out_nobody_else(serving: Serving) -> None:
             assert await is_served(one)
 
 
-@pytest.mark.anyio
 async def test_new_connection_is_refused_where_all_is_work(serving: Serving) -> None:
     async with serving(limit=2) as behind:
         working = [behind.knock(SLOW) for _ in range(2)]
@@ -116,7 +111,6 @@ async def test_new_connection_is_refused_where_all_is_work(serving: Serving) -> 
         assert await is_served(behind.knock(REQUEST))
 
 
-@pytest.mark.anyio
 async def test_more_may_wait_than_come_in_at_once(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,12 +130,10 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> ssl.SSLContext:
 
 
 def all_are_in(behind: Behind, crowd: int) -> bool:
-    """Whether none of a crowd is waiting any more."""
     return len(behind.connections) + behind.connections.dropped.total() == crowd
 
 
 async def asks_over_tls(address: tuple[str, int]) -> bool:
-    """Whether a client of TLS is answered."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     reader, writer = await asyncio.open_connection(*address, ssl=context)
@@ -151,7 +143,6 @@ async def asks_over_tls(address: tuple[str, int]) -> bool:
     return line.startswith(b"HTTP/1.1 200")
 
 
-@pytest.mark.anyio
 @pytest.mark.parametrize("said", [b"", b"\x16\x03\x01\x02\x00", REQUEST])
 async def test_crowd_without_tls_shuts_nobody_out(
     serving: Serving, tls: ssl.SSLContext, said: bytes
@@ -164,7 +155,6 @@ async def test_crowd_without_tls_shuts_nobody_out(
 
 
 @pytest.mark.slow
-@pytest.mark.anyio
 async def test_peers_sent_away_take_no_memory(serving: Serving, tls: ssl.SSLContext) -> None:
     """Not even until the garbage collector comes: it does not know how much 300 kB are."""
     async with serving(limit=4, tls=tls) as behind:
@@ -181,7 +171,6 @@ async def test_peers_sent_away_take_no_memory(serving: Serving, tls: ssl.SSLCont
             gc.enable()
 
 
-@pytest.mark.anyio
 async def test_handshake_that_takes_too_long(
     serving: Serving, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -193,8 +182,6 @@ async def test_handshake_that_takes_too_long(
 
 
 class Broken(socket.socket):
-    """A listening socket whose first connections cannot be accepted."""
-
     def __init__(self) -> None:
         super().__init__()
         self.errors = [errno.EMFILE, errno.ENOMEM, errno.EMFILE]
@@ -205,7 +192,6 @@ class Broken(socket.socket):
         return super().accept()
 
 
-@pytest.mark.anyio
 async def test_accept_that_fails_is_tried_again_after_a_pause(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -239,7 +225,6 @@ async def test_accept_that_fails_is_tried_again_after_a_pause(
     assert capsys.readouterr().out.count("connection not accepted") == 1
 
 
-@pytest.mark.anyio
 async def test_waiting_connection_is_sent_away_when_the_gate_closes(serving: Serving) -> None:
     async with serving() as behind:
         idle = behind.knock(REQUEST)

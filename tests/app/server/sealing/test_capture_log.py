@@ -29,8 +29,6 @@ SMALL = 2000
 
 
 class Rig:
-    """A state directory, and the faults that were told of."""
-
     def __init__(self, state_dir: Path) -> None:
         self.state_dir, self.key = state_dir, DeviceKey.open(state_dir)
         self.folder = state_dir / FOLDER

@@ -33,6 +33,7 @@ from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 
+pytestmark = pytest.mark.anyio
 COUNT = 3
 
 
@@ -75,7 +76,6 @@ async def code(asked: Any) -> str:
     return caught.value.code
 
 
-@pytest.mark.anyio
 async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) -> None:
     async with camera(path) as sdk:
         first = await sdk.capture()
@@ -87,10 +87,8 @@ async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) 
     answers: tuple[Capture | Classification, ...] = (first, second, third)
     for place, taken in enumerate(answers):
         recorded = answer(place)
-        assert taken.epoch == recorded["epoch"]
-        assert taken.taken_at.isoformat() == recorded["taken_at"]
-        assert taken.number == recorded["number"]
-        assert taken.notes is None
+        told = taken.epoch, taken.taken_at.isoformat(), taken.number, taken.notes
+        assert told == (recorded["epoch"], recorded["taken_at"], recorded["number"], None)
         assert taken.replay is not None
         assert taken.replay.model_dump() == {"capture": recorded["id"], "place": place}
         assert taken.id != recorded["id"]
@@ -107,7 +105,6 @@ def today(path: Path) -> str:
     return header["recorded_at"][:10]
 
 
-@pytest.mark.anyio
 async def test_array_alone_says_so_too(path: Path) -> None:
     async with replaying(path) as http:
         await http.post("/v1/captures")
@@ -117,7 +114,6 @@ async def test_array_alone_says_so_too(path: Path) -> None:
     assert taken.headers["Veilcam-Number"] == "0"
 
 
-@pytest.mark.anyio
 async def test_status_never_says_ready(path: Path) -> None:
     async with camera(path) as sdk:
         status = await sdk.status()
@@ -133,20 +129,16 @@ async def test_status_never_says_ready(path: Path) -> None:
         assert [each.state for each in states] == ["replay"]
 
 
-@pytest.mark.anyio
 async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
     async with camera(path) as sdk:
-        assert await code(sdk.rotate()) == "replaying"
-        assert await code(sdk.set_rotation(EveryCaptures(captures=1))) == "replaying"
-        assert await code(sdk.watch()) == "replaying"
-        assert await code(sdk.set_watch(WatchOff())) == "replaying"
-        assert await code(sdk.bundles()) == "replaying"
-        assert await code(sdk.receivers()) == "replaying"
-        assert await code(sdk.add_receiver("a", ReceiverKey.generate().public)) == "replaying"
-        assert await code(sdk.remove_receiver("0f" * 32)) == "replaying"
-        assert await code(sdk.install_bundle(b"bundle")) == "replaying"
-        assert await code(sdk.activate_bundle("0f" * 32)) == "replaying"
-        assert await code(sdk.remove_bundle("0f" * 32)) == "replaying"
+        for asked in (
+            *(sdk.rotate(), sdk.set_rotation(EveryCaptures(captures=1))),
+            *(sdk.watch(), sdk.set_watch(WatchOff()), sdk.bundles(), sdk.receivers()),
+            sdk.add_receiver("a", ReceiverKey.generate().public),
+            *(sdk.remove_receiver("0f" * 32), sdk.install_bundle(b"bundle")),
+            *(sdk.activate_bundle("0f" * 32), sdk.remove_bundle("0f" * 32)),
+        ):
+            assert await code(asked) == "replaying"
         assert await code(sdk.start_calibration()) == "calibration_impossible"
         assert await code(sdk.hold_scene(None)) == "scene_api_off"
         assert (await sdk.rotation()).epoch is None
@@ -156,14 +148,16 @@ async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
         assert (await sdk.capture()).epoch == answer(0)["epoch"]
 
 
-@pytest.mark.anyio
 async def test_events_say_that_they_tell_of_a_replay(path: Path) -> None:
     service = service_of(path)
     async with service.open():
         events = service.events(None)
         assert await anext(events) is None
         await service.classify(include_embedding=False)
-        told = [event async for event in _some(events, 2)]
+        told: list[Event] = []
+        while len(told) < 2:
+            if (event := await anext(events)) is not None:
+                told.append(event)
     assert [type(event) for event in told] == [CaptureTaken, Classified]
     for event in told:
         assert isinstance(event, (CaptureTaken, Classified))
@@ -171,16 +165,6 @@ async def test_events_say_that_they_tell_of_a_replay(path: Path) -> None:
         assert "replay" in event_in_words(event)
 
 
-async def _some(events: AsyncIterator[Event | None], count: int) -> AsyncIterator[Event]:
-    async for event in events:
-        if event is not None:
-            count -= 1
-            yield event
-        if not count:
-            return
-
-
-@pytest.mark.anyio
 async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
     """Every operation, asked plainly: what is documented, and never that it is ready."""
     async with replaying(path) as http:
@@ -199,7 +183,6 @@ async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
                     assert '"state":"ready"' not in given.text, place
 
 
-@pytest.mark.anyio
 async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> None:
     path = tmp_path / "bare.jsonl"
     record(Daemon().camera(), path, count=1)
@@ -207,7 +190,6 @@ async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> No
         assert await code(sdk.classify()) == "replaying"
 
 
-@pytest.mark.anyio
 async def test_sealed_recording_comes_sealed_and_its_receiver_opens_it(tmp_path: Path) -> None:
     key, path = ReceiverKey.generate(), tmp_path / "sealed.jsonl"
     epoch = SealedEpoch(SealingDevice(), key)
@@ -229,7 +211,6 @@ async def test_sealed_recording_comes_sealed_and_its_receiver_opens_it(tmp_path:
         assert refused.json()["code"] == "not_acceptable"
 
 
-@pytest.mark.anyio
 async def test_scores_are_told_as_far_as_they_were_recorded(tmp_path: Path) -> None:
     path = tmp_path / "recording.jsonl"
     record(Daemon().camera(), path, count=1, labels=True)
@@ -242,7 +223,6 @@ async def test_scores_are_told_as_far_as_they_were_recorded(tmp_path: Path) -> N
     assert (found.label, found.confidence, found.scores) == (VERDICT["label"], None, None)
 
 
-@pytest.mark.anyio
 async def test_recording_a_replay_is_refused_by_what_is_read(path: Path, tmp_path: Path) -> None:
     """Whoever writes down what a replay answers gets no recording of it."""
     async with replaying(path) as http:

@@ -31,8 +31,6 @@ class Note(BaseModel):
 
 
 class Rig:
-    """A record, and what it reports."""
-
     def __init__(self, folder: Path) -> None:
         self.path, self.copy = folder / "note.json", folder / "note.json.copy"
         self.faults: list[ProblemError] = []

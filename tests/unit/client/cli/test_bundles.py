@@ -15,10 +15,10 @@ from veilcam_client.cli.format import bundle_in_words, event_in_words
 from veilcam_client.wire.bundles import EXAMPLES, InstalledBundle, example_bundle
 
 DIGEST = "ab" * 32
+pytestmark = pytest.mark.usefixtures("url")
 runner = CliRunner()
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(("options", "star"), [([], " "), (["--activate"], "*")])
 def test_file_is_handed_over(daemon: Daemon, tmp_path: Path, options: list[str], star: str) -> None:
     path = tmp_path / "a.veilcam"
@@ -30,7 +30,6 @@ def test_file_is_handed_over(daemon: Daemon, tmp_path: Path, options: list[str],
     assert len(daemon.requests) == 1 + len(options)
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("command", [["activate", "ab"], ["install", "a.veilcam", "--activate"]])
 @pytest.mark.parametrize("options", [[], ["--allow-older"]])
 def test_older_bundle_is_asked_for(
@@ -48,7 +47,6 @@ def test_older_bundle_is_asked_for(
     assert query == (b"allow_older=true" if options else b"")
 
 
-@pytest.mark.usefixtures("url")
 def test_allow_older_without_activate_would_do_nothing(daemon: Daemon, tmp_path: Path) -> None:
     result = runner.invoke(commands.app, ["bundle", "install", "a.veilcam", "--allow-older"])
     assert result.exit_code == 2
@@ -73,7 +71,6 @@ def test_version_and_owner_in_words() -> None:
         assert told.endswith(words)
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -17,10 +17,10 @@ from veilcam_client.cli.format import status_in_words
 from veilcam_client.cli.main import app
 from veilcam_client.wire.status import example_status
 
+pytestmark = pytest.mark.usefixtures("url")
 runner = CliRunner()
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("arguments", "shown"),
     [
@@ -50,7 +50,6 @@ def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:
         assert text in result.stdout
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("options", "pages", "asked"),
     [
@@ -73,7 +72,6 @@ def test_tokens_are_listed_over_several_answers(
     assert [request.url.query.decode() for request in daemon.requests] == asked
 
 
-@pytest.mark.usefixtures("url")
 def test_status_tells_of_fresh_masks_that_come_late(daemon: Daemon) -> None:
     status = json.loads(json.dumps(STATUS))
     status["bundle"].update(mode="fresh", pairs=0)
@@ -86,7 +84,6 @@ def test_status_tells_of_fresh_masks_that_come_late(daemon: Daemon) -> None:
     assert "not ready; late 2 times, 7 captures reused a mask" in shown
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("command", ["status", "capture", "classify", "rotate"])
 def test_answers_are_json_when_asked_for(command: str) -> None:
     result = runner.invoke(app, [command, "--json"])
@@ -94,7 +91,6 @@ def test_answers_are_json_when_asked_for(command: str) -> None:
     assert json.loads(result.stdout)
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("command", "route", "body"),
     [
@@ -127,7 +123,6 @@ def test_rotate_and_look_ask_for_what_they_were_told(
     assert (json.loads(request.content) if request.content else None) == body
 
 
-@pytest.mark.usefixtures("url")
 def test_capture_writes_an_array(tmp_path: Path) -> None:
     out = tmp_path / "e.npy"
     assert runner.invoke(app, ["capture", "--out", str(out)]).exit_code == 0
@@ -137,7 +132,6 @@ def test_capture_writes_an_array(tmp_path: Path) -> None:
     assert "cannot write" in result.stderr
 
 
-@pytest.mark.usefixtures("url")
 def test_label_without_scores_is_shown_alone(daemon: Daemon) -> None:
     alone = {**CLASSIFICATION, "confidence": None, "scores": None}
     daemon.first = [httpx.Response(200, json=alone)]
@@ -151,7 +145,6 @@ def test_remedy_is_said_where_it_is_known() -> None:
     assert "\nremedy    check_panel_wiring\n" in status_in_words(safe)
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("as_json", [True, False])
 def test_watch_prints_one_line_an_event(daemon: Daemon, *, as_json: bool) -> None:
     told: list[tuple[str, dict[str, Any], str]] = [

@@ -19,7 +19,6 @@ DEVICE = Device()
 
 
 def answers(log: Log) -> list[httpx.Response | Exception]:
-    """What a daemon answers while its log is fetched."""
     said = LogRecords(records=tuple(log.records)), log.log_head()
     return [httpx.Response(200, content=each.model_dump_json()) for each in said]
 

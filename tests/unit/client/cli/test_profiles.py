@@ -17,7 +17,6 @@ runner = CliRunner()
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Of the file of profiles."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     made = tmp_path / "veilcam"
     made.mkdir()

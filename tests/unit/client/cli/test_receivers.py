@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from veilcam_client.cli.main import app
 from veilcam_client.keys.receivers import Receiver, ReceiverKey
 
+pytestmark = pytest.mark.usefixtures("url")
 runner = CliRunner()
 
 
@@ -28,7 +29,6 @@ def test_keygen_writes_one_half_and_prints_the_other(tmp_path: Path) -> None:
     assert "exists and was left alone" in again.stderr
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("given", ["line", "file"])
 def test_add_sends_the_public_half_and_prints_what_to_pin(
     daemon: Daemon, receiver: ReceiverKey, tmp_path: Path, given: str
@@ -42,7 +42,6 @@ def test_add_sends_the_public_half_and_prints_what_to_pin(
     assert json.loads(daemon.requests[0].content) == {"label": "archive", "key": line}
 
 
-@pytest.mark.usefixtures("url")
 def test_list_and_remove(daemon: Daemon) -> None:
     listed = runner.invoke(app, ["receiver", "list"]).stdout.splitlines()
     assert listed[0] == "abababababababab  since 2026-01-02  archive"
@@ -52,7 +51,6 @@ def test_list_and_remove(daemon: Daemon) -> None:
     assert daemon.requests[-1].url.path == f"/v1/receivers/{'ab' * 32}"
 
 
-@pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -73,7 +71,6 @@ def test_receiver_that_is_meant_must_be_clear(
     assert all(request.method == "GET" for request in daemon.requests)
 
 
-@pytest.mark.usefixtures("url")
 def test_private_key_is_never_sent_or_repeated(
     daemon: Daemon, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
@@ -87,7 +84,6 @@ def test_private_key_is_never_sent_or_repeated(
     assert daemon.requests == []
 
 
-@pytest.mark.usefixtures("url")
 def test_key_opens_what_is_captured(daemon: Daemon, receiver: ReceiverKey, tmp_path: Path) -> None:
     device, out, key = Device(), tmp_path / "e.npy", tmp_path / "key"
     receiver.write(key)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
+import string
 from datetime import timedelta, timezone
 from typing import Any
 
@@ -33,6 +34,7 @@ from veilcam_client.wire.captures import (
     Timing,
 )
 
+HOUR = timezone(timedelta(hours=1))
 LONG = 0.1234567890123456e-100
 WORDY = Notes(
     exposure=Exposure(started_after_shown_s=LONG, settle_s=LONG, duration_s=LONG),
@@ -110,11 +112,9 @@ def _sealed(answer: Capture) -> SealedEmbedding:
         ((1, AT, VALUES, NOTES), "capture 1 of this epoch was sealed already"),
         ((0, AT, VALUES, NOTES), "capture 0 of this epoch was sealed already"),
         ((2, AT, VALUES.astype(np.float64), NOTES), "float64 are not sealed"),
-        ((2, AT.replace(microsecond=1), VALUES, NOTES), "use a whole second of UTC"),
-        ((2, AT.replace(tzinfo=None), VALUES, NOTES), "use a whole second of UTC"),
-        (
-            (2, AT.astimezone(timezone(timedelta(hours=1))), VALUES, NOTES),
-            "use a whole second of UTC",
+        *(
+            ((2, at, VALUES, NOTES), "use a whole second of UTC")
+            for at in (AT.replace(microsecond=1), AT.replace(tzinfo=None), AT.astimezone(HOUR))
         ),
         ((2, AT, VALUES, NOTES.model_copy(update={"scene": 10**500})), "are too long: use 512"),
     ],
@@ -161,11 +161,10 @@ def test_changed_capture_is_refused_and_the_genuine_one_still_opens(
     def with_block(data: bytes) -> Capture:
         return inside(block=base64.b64encode(data).decode())
 
-    hour = timezone(timedelta(hours=1))
     for forged in (
         *(genuine.model_copy(update={"number": number}) for number in (2, 4, 2**96, 2**200)),
         genuine.model_copy(update={"taken_at": AT + timedelta(seconds=1)}),
-        genuine.model_copy(update={"taken_at": AT.astimezone(hour)}),
+        genuine.model_copy(update={"taken_at": AT.astimezone(HOUR)}),
         genuine.model_copy(update={"taken_at": AT.replace(tzinfo=None)}),
         genuine.model_copy(update={"epoch": other.name}),
         genuine.model_copy(update={"embedding": other.capture(3).embedding}),
@@ -186,11 +185,9 @@ def test_block_has_one_text(epoch: Epoch, receiver: ReceiverKey) -> None:
     genuine = epoch.capture(0, values=np.zeros((1, 1), np.float32))
     block = _sealed(genuine).block
     assert block.endswith("=")
-    letter = block.rstrip("=")[-1]
-    alphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
-    twin = alphabet[alphabet.index(letter) + 1]
-    padding = "=" * block.count("=")
-    changed = block.rstrip("=")[:-1] + twin + padding
+    end = block.rstrip("=")[-1]
+    alphabet = string.ascii_uppercase + string.ascii_lowercase + string.digits + "+/"
+    changed = block.replace(f"{end}=", f"{alphabet[alphabet.index(end) + 1]}=")
     assert base64.b64decode(changed) == base64.b64decode(block)
     sealed = _sealed(genuine).model_copy(update={"block": changed})
     with pytest.raises(SealedError, match="changed on its way"):
@@ -274,10 +271,8 @@ def test_key_of_a_forgotten_epoch_is_overwritten(device: Device, receiver: Recei
 def test_epoch_that_was_used_last_is_forgotten_last(device: Device, receiver: ReceiverKey) -> None:
     opener = Opener(receiver, epochs=2)
     first, second, third = (Epoch(device, receiver) for _ in range(3))
-    opener.open(first.capture(0, AT))
-    opener.open(second.capture(0, AT + timedelta(seconds=1)))
-    opener.open(first.capture(1, AT + timedelta(seconds=2)))
-    opener.open(third.capture(0, AT + timedelta(seconds=3)))
+    for seconds, (epoch, number) in enumerate(((first, 0), (second, 0), (first, 1), (third, 0))):
+        opener.open(epoch.capture(number, AT + timedelta(seconds=seconds)))
     # The second one is forgotten, and the first still known: its number says all, not the time.
     assert opener.open(first.capture(2, AT)).number == 2
 
