@@ -84,9 +84,10 @@ def test_files_that_cannot_be_used_are_named(path: Path, tmp_path: Path) -> None
     fetch_log(log, path)
     other = tmp_path / "other.json"
     for why in ("cannot be read", "holds something else"):
-        for given in ("head", "answer"):
-            with pytest.raises(LogFileError, match=rf"other\.json {why}"):
-                verify_log(path, **{given: other})
+        with pytest.raises(LogFileError, match=rf"other\.json {why}"):
+            verify_log(path, head=other)
+        with pytest.raises(LogFileError, match=rf"other\.json {why}"):
+            verify_log(path, answer=other)
         other.write_text("{}")
     for kept, why in (
         (answer(1).model_copy(update={"notes": NOTES}), "was opened"),

@@ -93,16 +93,12 @@ def test_signature_is_of_one_content_and_one_version(path: Path, tmp_path: Path)
     other = OwnerKey(Ed25519PrivateKey.generate().public_key().public_bytes_raw())
     flipped = bytearray(base64.b64decode(record["signature"]))
     flipped[5] ^= 1
+    signatures = ("", "%%", base64.b64encode(flipped).decode())
+    changes: list[dict[str, object]] = [{"version": 8}, {"owner": str(other)}]
+    changes += [{"signature": text} for text in signatures]
     for edit in (
         {"bundle.json": json.dumps(changed).encode()},
-        *(
-            {"owner.json": json.dumps({**record, **change}).encode()}
-            for change in (
-                {"version": 8},
-                {"owner": str(other)},
-                *({"signature": text} for text in ("", "%%", base64.b64encode(flipped).decode())),
-            )
-        ),
+        *({"owner.json": json.dumps({**record, **change}).encode()} for change in changes),
     ):
         pack(path, {**parts, **edit})
         with pytest.raises(BundleError, match="was changed after its owner signed it"):

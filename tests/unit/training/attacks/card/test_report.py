@@ -147,14 +147,14 @@ def found(threat: str, value: float, error: float = 0.1) -> Found:
     return Found(threat=threat, attack="any", gain=gain, masks=10, others={"any": value})
 
 
-def outcomes(form: str, *, quick: bool = False, **values: float) -> dict[str, str]:
+def outcomes(form: str, values: dict[str, float], *, quick: bool = False) -> dict[str, str]:
     given = {"T0": 90.0} | {threat: 0.0 for threat in THREATS if threat != "T0"} | values
     judged = judge([found(name, value, 0.001) for name, value in given.items()], form, quick=quick)
     return {row.threat: row.outcome for row in judged}
 
 
 def test_row_passes_within_its_threshold_and_fails_beyond() -> None:
-    assert set(outcomes("white").values()) == {"PASS", "NOT CLAIMED"}
+    assert set(outcomes("white", {}).values()) == {"PASS", "NOT CLAIMED"}
     for form, values, threat, outcome in (
         ("white", {"T1": 1.2}, "T1", "FAIL"),
         ("white", {"T9": 0.03}, "T9", "FAIL"),
@@ -163,8 +163,8 @@ def test_row_passes_within_its_threshold_and_fails_beyond() -> None:
         ("sealed", {"T5": 60.0}, "T5", "FAIL"),
         ("white", {"T0": 59.0}, "T0", "FAIL"),
     ):
-        assert outcomes(form, **values)[threat] == outcome
-    assert outcomes("white", quick=True, T1=1.2)["T1"] == "PASS"
+        assert outcomes(form, values)[threat] == outcome
+    assert outcomes("white", {"T1": 1.2}, quick=True)["T1"] == "PASS"
     # What is not proven fails.
     unsure = {
         r.threat: r for r in judge([found(name, 0, 1) for name in THREATS], "white", quick=False)
