@@ -56,7 +56,6 @@ help:
 	@echo "make test-arm64  the same on an emulated processor, in Debian 12 and 13: an hour"
 	@echo "make test-container   the container of a simulated daemon: builds, starts and asks it; needs root"
 	@echo "make test-clean-root  make demo in a root of Debian 13 with Python, git and make alone; needs root"
-	@echo "make test-pythons  make demo and make test with each of Python 3.11 to 3.13 that is there"
 	@echo "make public-types   how much of the SDK's surface has known types, as pyright counts it"
 	@echo "make accuracy  error against time of every way to compute light, drawn into build/accuracy"
 	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
@@ -213,12 +212,6 @@ test-container: $(INSTALLED)
 
 test-clean-root: $(INSTALLED)
 	$(BIN)/python -m tests.system.clean_root demo
-
-# Not part of test: it is demo and test once for each Python that is found.
-.PHONY: test-pythons
-test-pythons: $(INSTALLED)
-	$(BIN)/python -m tests.system.pythons $(foreach version,3.11 3.12 3.13,\
-		$(if $(shell python$(version) -c '' 2>/dev/null && echo yes),$(version)=python$(version)))
 
 # Not part of test: error against time of every method, in minutes.
 .PHONY: accuracy

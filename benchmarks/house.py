@@ -32,9 +32,15 @@ def cost(command: list[str]) -> tuple[float, float, str]:
         CalledProcessError: the command failed.
     """
     used, begun = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, time.perf_counter()
-    told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    told = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        for line in running.stdout or ():
+            print(line, end="", flush=True)
+            told.append(line)
+    if running.returncode:
+        raise subprocess.CalledProcessError(running.returncode, command)
     took = time.perf_counter() - begun
-    return took, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used, told
+    return took, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used, "".join(told)
 
 
 def living_anew(before: Path, after: Path) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from pathlib import Path
@@ -14,15 +13,9 @@ from benchmarks.accuracy import __main__ as command
 from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
 from benchmarks.accuracy.field_job import FieldJob
 from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
-from benchmarks.accuracy.geometric import GeometricShadow
 from benchmarks.accuracy.measure import (
     Job,
-    Point,
-    Prepared,
-    Setting,
     measure,
-    pareto_front,
-    relative_error,
 )
 from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 from benchmarks.accuracy.transfer_job import TransferJob
@@ -43,66 +36,6 @@ def transfer() -> tuple[Job, Tensor]:
     """The quick job of transfers with its truth, which takes longer than all that is held to it."""
     job = TransferJob(quick=True).job()
     return job, job.reference()
-
-
-def point(seconds: float, error: float, method: str = "a") -> Point:
-    return Point(
-        method=method,
-        dials={"dtype": "float32"},
-        source="veilcam",
-        supported=True,
-        error=error,
-        seconds=seconds,
-        fastest_seconds=seconds,
-        prepare_seconds=1.0,
-        runs=3,
-    )
-
-
-def setting(value: Tensor, **more: object) -> Setting:
-    return Setting("a", {"n": 1}, lambda: Prepared(lambda: value), **more)  # type: ignore[arg-type]
-
-
-def test_relative_error_with_a_free_factor_forgives_scale_and_phase_alone() -> None:
-    truth = torch.tensor([1.0 + 1j, 2.0, -1j], dtype=torch.complex128)
-    turned = truth * 3j
-    assert relative_error(turned, truth, free_factor=True) < 1e-12
-    assert relative_error(turned, truth) > 1
-    turned[0] += 1
-    assert relative_error(turned, truth, free_factor=True) > 0.05
-    assert relative_error(torch.zeros(3), truth, free_factor=True) == pytest.approx(1)
-
-
-def test_relative_error_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="shape"):
-        relative_error(torch.ones(2), torch.ones(3))
-    with pytest.raises(ValueError, match="zero everywhere"):
-        relative_error(torch.ones(2), torch.zeros(2))
-
-
-def test_pareto_front_holds_what_nothing_beats() -> None:
-    points = [point(1, 0.5), point(2, 0.5), point(2, 0.1), point(3, 0.2), point(4, 0.01)]
-    assert [(p.seconds, p.error) for p in pareto_front(points)] == [(1, 0.5), (2, 0.1), (4, 0.01)]
-    assert pareto_front([]) == []
-
-
-@pytest.mark.slow
-def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
-    """The operator beats every field by ten times in error; finer sampling helps the field."""
-    job, truth = transfer
-    chosen = {s.label: s for s in job.settings}
-    labels = (
-        "transfer operator (reach 3,1, step 1.55 um, dtype float32)",
-        "factored field (oversampling 1, dtype float32)",
-        "factored field (oversampling 2, dtype float32)",
-        "angular spectrum (oversampling 1, padding reach, dtype float32)",
-    )
-    best, coarse, fine, grid = (
-        measure(chosen[label], truth, least=1, budget=1e-9).error for label in labels
-    )
-    assert best < 1e-3
-    assert coarse > 1.5 * fine > 10 * best
-    assert 10 * best < grid < 5e-2
 
 
 @pytest.mark.thorough
@@ -188,15 +121,6 @@ def test_gaussian_beam_arrives_as_its_closed_form(
     assert relative(got, wanted) < 3e-3
 
 
-def test_shadow_is_magnified_from_its_point_whatever_the_phase() -> None:
-    source, target = Grid.square(100, 100, 1e-6), Grid.square(300, 300, 1e-6)
-    field = torch.full((100, 100), 1j, dtype=torch.complex128)
-    shadow = GeometricShadow(source_distance=5e-3).prepare(source, target, 5e-3, WAVELENGTH)(field)
-    assert int((shadow.abs() > 0)[150].sum()) == 200
-    assert float(shadow.abs().max()) == pytest.approx(0.5)
-    assert float(shadow.norm() / field.norm()) == pytest.approx(1, rel=1e-12)
-
-
 SCENE = Scene(14, 14, 0.12, 0.4)
 EMBEDDING = Embedding(12, 16)
 # The algorithm knows the PSF on the sensor only, so the mask's shadow has to lie within.
@@ -224,31 +148,3 @@ def test_area_variant_agrees_with_the_grid_path_and_bilinear_does_not() -> None:
         errors[resampling] = relative(simulation(scene, simulation.psf(weights)), wanted)
     assert errors["area"] < 1e-2
     assert errors["bilinear"] > 4 * errors["area"]
-
-
-@pytest.mark.parametrize("sensor", [(1208, 1200), (1200, 1208)])
-def test_picture_is_not_shifted_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
-    """150 and 151 samples: all that is symmetric must give a symmetric picture."""
-    panel = dataclasses.replace(SMALL.panel, filter_cycle=())
-    camera = dataclasses.replace(SMALL, panel=panel, sensor=Sensor(*sensor, 1.55e-6))
-    weights = mask(camera)
-    weights = weights + weights.flip(0)
-    weights = (weights + weights.flip(1)) / 4
-    simulation = Algorithm1(camera, SCENE, EMBEDDING, "area", snr_db=math.inf)
-    white = torch.ones(1, 14, 14, dtype=torch.float64)
-    image = simulation(white, simulation.psf(weights))[0]
-    assert relative(image.flip(0), image) < 1e-9
-    assert relative(image.flip(1), image) < 1e-9
-
-
-@pytest.mark.slow
-def test_noise_is_as_loud_as_asked_for() -> None:
-    scene = pictures(24, 14, 14)
-    clean = Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.inf)
-    psf = clean.psf(mask(SMALL))
-    wanted = clean(scene, psf)
-    for snr_db in (10.0, 40.0):
-        noisy = dataclasses.replace(clean, snr_db=snr_db)
-        got = noisy(scene, psf, torch.Generator().manual_seed(3))
-        delivered = 10 * math.log10(float(wanted.square().sum() / (got - wanted).square().sum()))
-        assert delivered == pytest.approx(snr_db, abs=0.3)

@@ -9,7 +9,7 @@ import torch
 import typer
 from benchmarks.privacy.budgets import curves as of_curves
 from benchmarks.privacy.budgets import study
-from benchmarks.privacy.budgets.curves import Cell, Cells, budget, draw, interval, measured
+from benchmarks.privacy.budgets.curves import Cell, Cells, budget, draw, measured
 from benchmarks.privacy.budgets.study import Digits, Form, Plan, Point
 
 from veilcam_optics.camera.geometry import Embedding
@@ -49,15 +49,6 @@ def test_budget_is_the_least_count_at_which_something_is_read() -> None:
     assert budget(curves("raw", [10, 10, 10], [10, 10, 10]), "raw", 1) == 3
 
 
-def test_interval_is_of_masks() -> None:
-    low, high = interval([40.0, 60.0] * 50, 1)
-    # The mean of 100 shares with a deviation of 10: 2.33 errors of 1 to either side; of 10,000
-    # draws the ends are known to about 0.04.
-    assert low == pytest.approx(50 - 2.33, abs=0.25)
-    assert high == pytest.approx(50 + 2.33, abs=0.25)
-    assert interval([50.0] * 5, 1) == (50.0, 50.0)
-
-
 def digits(seed: int) -> Digits:
     """Pictures of which a bar's place says the class, the last class ten times rarer."""
     random = torch.Generator().manual_seed(seed)
@@ -66,13 +57,6 @@ def digits(seed: int) -> Digits:
     for place, label in enumerate(labels.tolist()):
         pixels[place, :, 2 * label + 4 : 2 * label + 8] = 250
     return Digits(Images(pixels, labels))
-
-
-def test_classes_come_equally_often() -> None:
-    scenes, labels = digits(1).draw(2000, torch.Generator().manual_seed(1))
-    assert scenes.shape == (2000, 28, 28)
-    # Five standard deviations of a count of 200.
-    assert (torch.bincount(labels, minlength=10) - 200).abs().max() < 5 * 180**0.5
 
 
 @pytest.mark.slow

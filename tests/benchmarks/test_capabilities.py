@@ -9,7 +9,7 @@ import pytest
 import torch
 import typer
 from benchmarks import capabilities
-from benchmarks.capabilities import HEADER, Run, green, run
+from benchmarks.capabilities import HEADER, Run, run
 from tests.benchmarks.conftest import figures_of
 from tests.conftest import pytest_report_header
 from typer.testing import CliRunner
@@ -24,21 +24,6 @@ def environment(folder: Path, script: str) -> str:
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     return f"VENV={folder}"
-
-
-@pytest.mark.parametrize(
-    ("runs", "expected"),
-    [
-        ([], set()),
-        ([Run("a", "AVX2", passed=True), Run("b", "DEFAULT", passed=True)], {"AVX2", "DEFAULT"}),
-        ([Run("a", "AVX2", passed=True), Run("b", "DEFAULT", passed=False)], {"AVX2"}),
-        # The same instructions twice count once, and both runs have to pass.
-        ([Run("a", "AVX2", passed=True), Run("b", "AVX2", passed=False)], set()),
-        ([Run("a", None, passed=True)], set()),
-    ],
-)
-def test_capability_is_green_if_every_run_passed(runs: list[Run], expected: set[str]) -> None:
-    assert green(runs) == expected
 
 
 @pytest.mark.parametrize(

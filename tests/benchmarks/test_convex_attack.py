@@ -7,12 +7,9 @@ import torch
 from benchmarks.privacy.paper.convex_attack import (
     BinnedConvolution,
     Normal,
-    denoise,
     descend,
     differences,
-    divergence,
     psf_samples,
-    tune,
 )
 from torch import Tensor
 
@@ -58,33 +55,6 @@ def test_measurement_is_a_convolution_of_the_inverted_scene_and_an_average() -> 
     torch.testing.assert_close(scene.flatten(1) @ taken.matrix(), expected.reshape(1, -1))
 
 
-def test_adjoint_and_gram_are_those_of_the_matrix() -> None:
-    taken, generator = camera(1), torch.Generator().manual_seed(3)
-    matrix = taken.matrix()
-    scenes = torch.rand(17, *SCENE, generator=generator)
-    embeddings = torch.rand(17, *EMBEDDING, generator=generator)
-    one = (taken.forward(scenes) * embeddings).sum()
-    other = (scenes * taken.adjoint(embeddings)).sum()
-    assert float(one) == pytest.approx(float(other), rel=1e-5)  # float32, 1,500 terms
-    seen: list[tuple[int, int]] = []
-    torch.testing.assert_close(taken.gram(lambda *told: seen.append(told)), matrix @ matrix.T)
-    assert seen[-1] == (EMBEDDING[0], EMBEDDING[0])
-    assert taken.adjoint(embeddings[:0]).shape == (0, *SCENE)
-
-
-@pytest.mark.parametrize("embedding", [(2, 3), EMBEDDING])
-def test_step_is_short_enough_and_hardly_shorter(embedding: tuple[int, int]) -> None:
-    """Both ways to hold A^T A; eigenvalues in float64 are the truth."""
-    normal = Normal(camera(1, embedding))
-    matrix = normal.camera.matrix().double()
-    largest = float(torch.linalg.eigvalsh(matrix @ matrix.T).max())
-    assert largest <= normal.bound <= 1.05 * largest
-    scenes = pictures(3, 1)
-    # Sums of 90 products in float32.
-    expected = (scenes.flatten(1).double() @ matrix @ matrix.T).reshape(scenes.shape)
-    torch.testing.assert_close(normal(scenes).double(), expected, rtol=1e-4, atol=1e-9)
-
-
 def objective(normal: Normal, embeddings: Tensor, scenes: Tensor, variation: float) -> Tensor:
     """As the module says it, in float64; a share of that of a black scene."""
     matrix = normal.camera.matrix().double()
@@ -111,38 +81,3 @@ def test_gap_bounds_how_far_the_descent_is(variation: float) -> None:
     # An accelerated method's error falls as 1 / n^2: from 5 to 1,000 steps far more than tenfold.
     assert bool((found[-1].gap < found[0].gap / 10).all())
     assert bool((found[-1].gap < 1e-3).all())
-
-
-def test_differences_and_divergence_are_adjoint_and_denoising_is_the_proximal_step() -> None:
-    generator = torch.Generator().manual_seed(5)
-    scenes = torch.rand(2, *SCENE, generator=generator)
-    dual = torch.rand(2, 2, *SCENE, generator=generator)
-    one, other = (differences(scenes) * dual).sum(), (scenes * divergence(dual)).sum()
-    assert float(one) == pytest.approx(float(other), rel=1e-5)
-    # So strong that only a flat scene is left: the mean, as the variation of it is nothing.
-    weight = torch.full((2, 1, 1), 10.0)
-    flat, _ = denoise(scenes, weight, torch.zeros_like(dual), 2000)
-    expected = scenes.mean((1, 2), keepdim=True).expand_as(flat)
-    torch.testing.assert_close(flat, expected, atol=1e-2, rtol=0)
-    same, _ = denoise(scenes - 0.5, torch.zeros(2, 1, 1), torch.zeros_like(dual), 3)
-    torch.testing.assert_close(same, (scenes - 0.5).clamp_min(0))
-
-
-@pytest.mark.slow
-def test_psf_that_is_constant_tells_nothing() -> None:
-    """A constant PSF passes the scene's light alone: no attack may beat the best flat picture.
-
-    Rectangles all have the same light, so that every capture is the same; what is estimated of 400
-    pictures is one picture, and the best of those is their mean.
-    """
-    psf = torch.ones(psf_samples(SCENE, EMBEDDING, side=SIDE, binning=BINNING))
-    normal = Normal(BinnedConvolution(psf, SCENE, EMBEDDING, side=SIDE, binning=BINNING))
-    own, other = pictures(40, 1), pictures(400, 2)
-    seen = normal.camera.forward(torch.cat([own, other]))
-    noise = torch.randn(seen.shape, generator=torch.Generator().manual_seed(3))
-    seen = seen * (1 + 0.01 * noise)
-    attack = tune(normal, seen[:40], own, stops=(3, 30))
-    error = (attack(normal, seen[40:]).scenes - other).square().mean()
-    # The mean of these very pictures has the least error that one picture can have.
-    least = (other.mean(0) - other).square().mean()
-    assert float(error) >= float(least)

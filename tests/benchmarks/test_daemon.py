@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -12,17 +11,8 @@ from benchmarks.people.zone import seen_after
 from rich.console import Console
 from tests.benchmarks.conftest import figures_of
 
-from veilcam_client.wire.captures import Timing
-from veilcam_client.wire.events import Event, Gap, MaskChanged
 from veilcam_server.demo.run import Plan
 from veilcam_server.demo.tally import Sample, Tally
-
-
-def test_overhead_is_the_rest_of_what_the_device_took() -> None:
-    timing = Timing(queue_s=0.2, rotation_s=0.1, settle_s=0.05, capture_s=0.04)
-    request = overhead.Request(0.5, timing)
-    assert request.device == pytest.approx(0.39)
-    assert request.overhead == pytest.approx(0.11)
 
 
 @pytest.mark.thorough
@@ -40,51 +30,6 @@ def test_figures_of_clients_at_the_same_time(
         f"overhead_{name}{figure}_ms" for name in ("", "sdk_") for figure in ("median", "p99")
     }
     assert 0 < record["overhead_median_ms"] <= record["overhead_p99_ms"]
-
-
-NOW = datetime.now(UTC)
-
-
-def mask(place: int) -> Event:
-    return MaskChanged(id=f"boot-{place}", at=NOW, epoch="e")
-
-
-def gap(place: int, missed: int | None) -> Event:
-    return Gap(id=f"boot-{place}", at=NOW, missed=missed)
-
-
-@pytest.mark.parametrize(
-    ("events", "told", "silent", "repeated"),
-    [
-        ([mask(3), mask(4), mask(5)], 0, 0, 0),
-        ([mask(3), mask(6)], 0, 2, 0),
-        ([mask(3), mask(4), mask(4), mask(5)], 0, 0, 1),
-        ([mask(3), mask(5), mask(4)], 0, 1, 1),
-        ([mask(3), gap(7, 4), mask(8)], 4, 0, 0),
-        ([mask(3), gap(7, 2), mask(8)], 2, 2, 0),
-        ([mask(3), gap(7, 4), mask(9)], 4, 1, 0),
-    ],
-)
-def test_missed_and_repeated_events_are_counted(
-    events: list[Event], told: int, silent: int, repeated: int
-) -> None:
-    heard = sse.Heard()
-    for event in events:
-        heard.hear(event)
-    assert (heard.told, heard.silent, heard.repeated) == (told, silent, repeated)
-    whole = sse.Heard()
-    for place in range(3, 10):
-        whole.hear(mask(place))
-    assert sse.missing([whole]) == 0
-    assert sse.missing([whole, heard]) >= told + silent + repeated
-
-
-def test_listener_that_never_heard_the_end_is_counted() -> None:
-    first, second = sse.Heard(), sse.Heard()
-    for place in range(5):
-        first.hear(mask(place))
-    second.hear(mask(0))
-    assert sse.missing([first, second]) == 1
 
 
 @pytest.mark.slow

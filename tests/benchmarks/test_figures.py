@@ -49,8 +49,3 @@ def test_figures_that_cannot_be_kept_are_refused(tmp_path: Path) -> None:
             record_figures(place, {"a": 1.0})
         with pytest.raises(TrainingError, match=reason):
             check_record(place)
-
-
-def test_record_is_tried_without_being_made(tmp_path: Path) -> None:
-    check_record(tmp_path / "results" / "a.json")
-    assert not list(tmp_path.iterdir())

@@ -4,34 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from benchmarks.privacy import fresh_worst
-from benchmarks.privacy.fresh_worst import FORM_NAMES, Collector, measure
+from benchmarks.privacy.fresh_worst import measure
 from benchmarks.privacy.keys.scenes import load_scenes
 from tests.benchmarks.conftest import figures_of
 
-from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.demo_data import FRESH
 from veilcam_training.attacks.intervals import Gain
 from veilcam_training.attacks.keyless import Asked
 from veilcam_training.bundle import read_bundle
-
-
-def test_chunk_holds_every_form(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fresh_worst, "CHUNK", 4)
-    bundle = read_bundle(FRESH)
-    scenes = load_scenes(bundle.scene.shape, None, None)
-    collector = Collector(bundle, Embedding(3, 4), scenes, 1)
-    made = collector.chunk(0)
-    assert {name.split()[0] for name in made} == {*FORM_NAMES, "label"}
-    assert made["white digit"].shape == (4, 2, 12)
-    # Ciphertext of twelve numbers of four bytes, and a tag of sixteen.
-    assert made["sealed presence"].shape == (4, 2, 64)
-    np.testing.assert_allclose(np.linalg.norm(made["white kind"], axis=2), 1, atol=1e-6)
-    again = collector.chunk(0)
-    assert all(np.array_equal(made[name], again[name]) for name in made)
-    assert not np.array_equal(collector.chunk(1)["white digit"], made["white digit"])
 
 
 @pytest.mark.slow

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks.guard import served, verdicts
 from benchmarks.guard.__main__ import app
-from benchmarks.guard.world import Lamp, shipped
+from benchmarks.guard.world import shipped
 from typer.testing import CliRunner
 
 from veilcam_server.demo_data import BUNDLE
-
-
-def test_lamp_is_the_mean_of_its_levels() -> None:
-    lamp = Lamp(np.random.default_rng(1), rate=3.0, low=0.1)
-    cuts = np.linspace(0, 5, 501)
-    parts = [lamp.mean(begin, end) for begin, end in itertools.pairwise(cuts)]
-    assert np.mean(parts) == pytest.approx(lamp.mean(0.0, 5.0))
-    assert {round(part, 3) for part in parts} >= {0.1, 1.0}
-    flickering = Lamp(np.random.default_rng(1), flicker=0.2)
-    assert flickering.mean(0.0, 0.01) == pytest.approx(1.0)
-    assert flickering.mean(0.0, 0.0025) > 1.1
 
 
 @pytest.mark.numerical

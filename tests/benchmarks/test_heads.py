@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import pytest
-import torch
-from benchmarks.training.heads import CELLS, chance, interval
-
-from veilcam_training.data import Images
+from benchmarks.training.heads import CELLS, interval
 
 
 def test_interval_is_wilsons() -> None:
     # Newcombe 1998, table I: 81 of 263 and 0 of 20, to the digits that stand there.
     assert interval(81 / 263, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert interval(0.0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
-
-
-def test_chance_is_the_commonest_training_label() -> None:
-    def images(*labels: int) -> Images:
-        return Images(torch.zeros(len(labels), 2, 2, dtype=torch.uint8), torch.tensor(labels))
-
-    assert chance(images(1, 1, 0), images(0, 0, 1, 0)) == 0.25
 
 
 def test_cells_have_their_settings() -> None:

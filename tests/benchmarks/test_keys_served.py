@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
 from benchmarks.privacy.keys import served
-from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
-from benchmarks.privacy.keys.past import Findings, past_of
 from tests.benchmarks.conftest import figures_of
 from tests.unit.server.conftest import make_fresh_bundle
 
-from veilcam_server.demo_data import load_digits
 from veilcam_training.bundle import write_bundle
-from veilcam_training.data import Images
 
 
 @pytest.fixture
@@ -55,34 +49,3 @@ def test_past_of_a_daemon_that_is_taken_is_closed(bundle_file: Path, tmp_path: P
     found = figures_of(figures)
     assert found["past_opened"] == 0
     assert found["past_levels_found"] == found["past_rotation_found"] == 0
-
-
-def test_past_is_no_proof_if_the_epoch_that_goes_on_is_missed() -> None:
-    nothing: set[int] = set()
-    found = {"key": nothing, "sealing": {2}, "mask": {1, 2}}
-    past = past_of(Findings({0, 2}, found), 2)
-    assert past == Findings({0}, {"key": nothing, "sealing": nothing, "mask": {1}})
-    for opened, sealing in (({0}, {2}), ({2}, nothing)):
-        with pytest.raises(RuntimeError, match="proves nothing"):
-            past_of(Findings(opened, {"sealing": sealing}), 2)
-
-
-@pytest.mark.slow
-def test_times_are_of_what_they_say(tmp_path: Path) -> None:
-    bundle = make_fresh_bundle()
-    sealing = sealing_times(bundle, np.ones(bundle.embedding.shape, np.float32), 2)
-    assert sealing.keys() == {"envelope", "seal", "open", "open_first"}
-    assert all(took > 0 for took in sealing.values())
-    preparing = preparation_times(bundle, tmp_path, 2)
-    assert preparing.keys() == {"mask", "none", "sealed", "white"}
-
-
-@pytest.mark.slow
-def test_holder_of_a_receivers_key_reads_what_the_daemon_reads() -> None:
-    digits = load_digits()
-    images = Images(
-        torch.from_numpy(digits.images[:12]), torch.from_numpy(digits.labels[:12]).long()
-    )
-    found = list(read_sealed(make_fresh_bundle(), images, seed=1))
-    assert [each.holder for each in found] == [each.daemon for each in found]
-    assert [each.truth for each in found] == [str(label) for label in digits.labels[:12]]

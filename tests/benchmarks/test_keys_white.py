@@ -15,7 +15,7 @@ from tests.benchmarks.conftest import figures_of
 from tests.unit.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.source import Mask
-from veilcam_training.attacks.intervals import Gain, holm
+from veilcam_training.attacks.intervals import Gain
 from veilcam_training.attacks.networks import FAMILIES
 from veilcam_training.bundle import write_bundle
 
@@ -34,23 +34,6 @@ class Watched(Camera):
     def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:
         self.shown.append(scenes)
         return super().read(mask, scenes, noise)
-
-
-def test_classes_come_equally_often_whatever_a_data_sets_shares_are() -> None:
-    scenes, random = Scenes(SHAPE, stock(10), stock(4)), np.random.default_rng(1)
-    assert scenes.classes == {"digit": 10, "presence": 2, "kind": 4, "skin": 4, "linkage": 2}
-    for question in ("digit", "presence", "kind", "skin"):
-        drawn = [scenes.draw(question, random) for _ in range(500)]
-        labels = np.array([label for _, label in drawn])
-        expected = 500 / scenes.classes[question]
-        # Five standard deviations of a count.
-        counts = np.bincount(labels, minlength=scenes.classes[question])
-        assert np.abs(counts - expected).max() < 5 * expected**0.5
-        if question in ("digit", "skin"):
-            assert all(float(scene[0, 0]) == np.float32(n / 255) for scene, n in drawn)
-        if question == "presence":
-            assert not any(scene.any() for scene, there in drawn if not there)
-    assert "skin" not in Scenes(SHAPE, stock(10), None).classes
 
 
 def test_masks_are_white_of_one_use_and_pairs_see_the_same_scene() -> None:
@@ -102,18 +85,3 @@ def test_rows_are_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         white.collect_command(work, masks=100, bundle=bundle, seed=2)
     with pytest.raises(typer.BadParameter, match="give both"):
         white.collect_command(work, masks=100, bundle=bundle, rows=3)
-
-
-def test_figures_are_the_best_attackers_and_the_highest_upper_end() -> None:
-    verdicts = holm(
-        {
-            "digit by length": Gain(0.2, 0.1, 1.0, 100, 10.2),
-            "digit by networks": Gain(-0.4, 0.1, 1.0, 100, 9.6),
-            "linkage by length": Gain(0.01, 0.001, 0.02, 100, 0.49),
-        }
-    )
-    found = white.white_figures(verdicts)
-    assert found["white_digit_advantage"] == 0.2
-    assert found["white_digit_advantage_upper"] == round(verdicts["digit by length"].upper, 3)
-    assert found["white_linkage_auc"] == 0.49
-    assert found["white_linkage_auc_upper"] == round(0.5 + verdicts["linkage by length"].upper, 4)

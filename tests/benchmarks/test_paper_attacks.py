@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import typer
 from benchmarks.privacy.paper import attributes, convex, generator, masks
-from benchmarks.privacy.paper.cells import Cells, Mean, difference, mean, proven, published
+from benchmarks.privacy.paper.cells import published
 from benchmarks.privacy.paper.convex_attack import ConvexAttack, tune
 from benchmarks.privacy.paper.generator_attack import GeneratorTrial
 from tests.benchmarks.conftest import figures_of
@@ -128,27 +128,6 @@ def test_attributes_are_read_where_a_mask_is_stored(
     assert figures_of(figures)["attribute_auc_gender_1_200"] > 0.8
     kept = partial(attributes.command, data=data, work=tmp_path / "work", count=50, pairs=[200])
     kept(source=["faces-gender"], kind=["1"])
-
-
-def test_cells_are_kept_and_private(tmp_path: Path) -> None:
-    cells = Cells(tmp_path / "work", {"count": 5})
-    assert cells.get("a", lambda: {"psnr": [1.0, 2.0]}) == {"psnr": [1.0, 2.0]}
-    assert cells.get("a", dict) == {"psnr": [1.0, 2.0]}
-    assert (tmp_path / "work").stat().st_mode & 0o77 == 0
-    with pytest.raises(typer.BadParameter, match="other cells"):
-        Cells(tmp_path / "work", {"count": 6})
-
-
-def test_difference_is_proven_where_its_interval_is_on_one_side() -> None:
-    values = [1.0, 2.0, 3.0, 4.0]
-    found = mean(values)
-    # 2.576 standard errors, of which the variance is 5 / 3 over 4 pictures.
-    assert found.value == 2.5
-    assert found.half == pytest.approx(2.5758 * (5 / 3 / 4) ** 0.5, rel=1e-4)
-    assert found.least == pytest.approx(found.value - found.half)
-    assert difference([each + 1 for each in values], values) == Mean(1.0, 0.0)
-    for gain, said in ((1.0, "win"), (-1.0, "loss"), (0.1, "tie")):
-        assert proven(Mean(gain, 0.5)).endswith(said)
 
 
 def test_cells_of_the_paper_are_tables_5_and_6() -> None:

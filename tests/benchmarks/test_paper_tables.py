@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from collections.abc import Callable
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +13,8 @@ import pytest
 from benchmarks.figures import Origin
 from benchmarks.paper import __main__ as paper
 from benchmarks.paper import runner as run_module
-from benchmarks.paper.grid import TABLES, Cell, find_table, load_paper
+from benchmarks.paper.grid import Cell, find_table
 from benchmarks.paper.pictures import Pictures
-from benchmarks.paper.report import write_report
 from benchmarks.paper.results import (
     CellResult,
     EpochRecord,
@@ -32,9 +29,7 @@ from typer.testing import CliRunner, Result
 
 from veilcam_optics.plan.check import Check
 from veilcam_training.bundle import read_bundle
-from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
-from veilcam_training.errors import TrainingError
 
 Run = Callable[..., Result]
 
@@ -46,15 +41,6 @@ def run(digit_folder: Path, tmp_path: Path) -> Run:
         return CliRunner().invoke(paper.app, [str(word) for word in command])
 
     return invoke
-
-
-def test_numbers_of_the_paper_have_their_cells() -> None:
-    places = chain.from_iterable(table.places(psf=True) for table in TABLES.values())
-    assert {place.title for place in places} >= load_paper().accuracy.keys()
-    assert len(load_paper().accuracy) == 48 + 24 + 24 + 24
-    # Read off the paper.
-    assert load_paper().accuracy["mnist_LR_learned_3x4"] == 79.3
-    assert load_paper().accuracy["cifar10_VGG11_lens_27x36"] == 86.8
 
 
 @pytest.mark.thorough
@@ -143,44 +129,6 @@ def finish(work: Path, test: float, **settings: object) -> CellResult:
     return result
 
 
-@pytest.mark.slow
-def test_report_says_what_the_cells_found(tmp_path: Path) -> None:
-    work, out = tmp_path / "work", tmp_path / "report"
-    finish(work, 0.96, classifier="LR", embedding="24x32")  # the paper: 95.5
-    finish(work, 0.78, classifier="LR", embedding="3x4", seed=0)  # 79.3
-    finish(work, 0.80, classifier="LR", embedding="3x4", seed=1)
-    finish(work, 0.88, classifier="LR", embedding="3x4", binning="point")
-    for seed in range(3):
-        finish(work, 0.950 + 0.001 * seed, classifier="LR", embedding="12x16", seed=seed)  # 93.5
-        finish(work, 0.90 + 0.01 * seed, classifier="LR", embedding="6x8", seed=seed)  # 91.4
-    finish(work, 0.99, classifier="CNN16", embedding="24x32")
-    write_report(out, find_table("mnist"), list(load_results(work)), work)
-    markdown, page = ((out / name).read_text() for name in ("report.md", "report.html"))
-    rows = {
-        (cells[1], cells[2]): cells[3:7]
-        for line in markdown.splitlines()
-        if len(cells := [cell.strip() for cell in line.split("|")]) == 8
-    }
-    assert rows["LR", "learned mask"] == [
-        "96.00 (95.5, +0.5)",  # one seed decides nothing
-        "95.10 ± 0.25 (93.5, ▲ +1.6)",
-        "91.00 ± 2.48 (91.4, = −0.4)",
-        "79.00 ± 12.71 (79.3, −0.3)",
-    ]
-    assert rows["LR", "learned mask, point binning"][3] == "88.00 (79.3, +8.7)"
-    assert rows["LR", "fixed mask, measured"] == ["– (92.8)", "– (91.9)", "– (87.7)", "– (73.4)"]
-    assert markdown.count("| 12 s | 34 µs |") == 5
-    assert markdown.count("| 12 s* | 34 µs |") == 1
-    for verdict, count in (("win", 1), ("tie", 1), ("loss", 0)):
-        assert page.count(f'class="{verdict}"') == 2 * count  # in the table and in the list
-    assert "mnist &lt;here&gt;" in page
-    pictures = re.findall(r"\]\(pictures/(\w+)\.png\)", markdown)
-    assert set(pictures) == {
-        *("cost", "curves", "psfs", "embeddings", "confusion_LR", "confusion_CNN16")
-    }
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == page.count("src=") == 6
-
-
 @pytest.mark.parametrize(
     ("tests", "verdict"),
     [
@@ -226,29 +174,3 @@ def test_change_records_the_classifier_that_validates_best(tmp_path: Path) -> No
         "robust_shift_FC800_learned": 99.9,
         "robust_shift_FC800_lens": 99.0,
     }
-
-
-def test_seeds_that_several_commands_ran_name_them_all(tmp_path: Path) -> None:
-    path = tmp_path / "figures.json"
-    first, second = (finish(tmp_path, 0.8, encoder="lens", seed=seed) for seed in (0, 1))
-    origin = Origin("benchmarks.paper again", "def456", "2026-01-30", "another machine")
-    record_cells(path, [first, second.model_copy(update={"origin": origin})])
-    assert json.loads(path.read_text())["mnist_LR_lens_24x32"] == {
-        "value": 80.0,
-        "command": "benchmarks.paper again; benchmarks.paper mnist <here>",
-        "commit": "def456, abc123",
-        "date": "2026-01-31",
-        "machine": "a machine",
-    }
-
-
-def test_cells_with_other_settings_are_no_seeds_of_each_other(tmp_path: Path) -> None:
-    results = [
-        finish(tmp_path, 0.8, encoder="lens"),
-        finish(tmp_path, 0.9, encoder="lens", seed=1, recipe=Recipe(epochs=7)),
-    ]
-    said = "mnist_LR_lens_24x32 and mnist_LR_lens_24x32_seed1 differ in more than their seed"
-    with pytest.raises(TrainingError, match=said):
-        record_cells(tmp_path / "figures.json", results)
-    with pytest.raises(TrainingError, match=said):
-        Summary(find_table("mnist"), results)

@@ -52,12 +52,6 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def test_folder_that_is_not_empty_is_not_drawn_into(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "mine.png").write_bytes(b"")
-    assert "is not empty" in call("draw", tmp_path, code=1)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
-
-
 def test_damaged_pictures_end_the_run_before_the_fit(call: Call, tmp_path: Path) -> None:
     shapes = tmp_path / "shapes"
     call("draw", shapes, "--count", 50)

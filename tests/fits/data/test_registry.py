@@ -14,7 +14,6 @@ from veilcam_optics.camera.geometry import Scene
 from veilcam_training.bundle import read_bundle
 from veilcam_training.data import Images, Source, registry
 from veilcam_training.data.base import digest, find
-from veilcam_training.errors import TrainingError
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,3 @@ def test_new_data_set_is_used(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_p
     assert bundle.accuracy.samples == 20
     # Who guesses is right on 18 of 20 with a probability of 2e-4.
     assert bundle.accuracy.value >= 0.9
-
-
-def test_data_set_says_what_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match=r"stripes.bin is missing: give the folder"):
-        StripesSource(tmp_path).training()

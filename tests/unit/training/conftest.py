@@ -13,7 +13,6 @@ import torch
 from PIL import Image
 
 from veilcam_training.data import Images, Source, open_source
-from veilcam_training.data.drawn import draw_folder
 from veilcam_training.data.idx import idx_bytes
 from veilcam_training.seeding import stream
 
@@ -122,14 +121,3 @@ def plain_folder(tmp_path: Path) -> Path:
 def source(digit_folder: Path) -> Source:
     """The data set of ``digit_folder``."""
     return open_source("mnist", digit_folder)
-
-
-@pytest.fixture
-def drawn_files() -> Callable[[Path], Path]:
-    """Writes fifty pictures of five shapes into a folder."""
-
-    def write(folder: Path) -> Path:
-        draw_folder(folder, 50, seed=1)
-        return folder
-
-    return write

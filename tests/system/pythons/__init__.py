@@ -1,1 +1,0 @@
-"""README's two commands, with each Python that the package is for."""
