@@ -9,7 +9,7 @@ import torch
 import typer
 from benchmarks.privacy.budgets import curves as of_curves
 from benchmarks.privacy.budgets import study
-from benchmarks.privacy.budgets.curves import Cell, Cells, budget, draw, measured
+from benchmarks.privacy.budgets.curves import Cell, Cells, draw, measured
 from benchmarks.privacy.budgets.study import Digits, Form, Plan, Point
 
 from veilcam_optics.camera.geometry import Embedding
@@ -36,17 +36,6 @@ def curves(form: Form, small: list[float], large: list[float], crowd: float = 10
         )
         for size, shares in ((SMALL, small), (LARGE, large))
     }
-
-
-def test_budget_is_the_least_count_at_which_something_is_read() -> None:
-    assert budget(curves("white", [10, 10, 30], [10, 15, 30]), "white", 1) == 1
-    assert budget(curves("white", [10, 10, 30], [10, 10, 10]), "white", 1) == 3
-    assert budget(curves("raw", [10, 10, 30], [90, 95, 99]), "raw", 1) == 0
-    # Above the bar, and not shown to be: masks differ by more.
-    assert budget(curves("raw", [11.5, 10, 30], [10, 10, 10]), "raw", 1) == 3
-    assert budget(curves("white", [10, 10, 30], [10, 10, 10], crowd=12), "white", 1) == 2
-    # Nothing is read: nothing beyond what was tried is said.
-    assert budget(curves("raw", [10, 10, 10], [10, 10, 10]), "raw", 1) == 3
 
 
 def digits(seed: int) -> Digits:

@@ -1,9 +1,7 @@
 """The exact light of a strip, against that of the whole sensor; and the interval of an estimate."""
 
-import math
-
 import numpy as np
-from benchmarks.optics.exact import ratio_estimate, strip_transfer
+from benchmarks.optics.exact import strip_transfer
 from tests.oracle.jobs import Job, draw_everyday, light, masks, shown
 from tests.oracle.physics import transfer
 
@@ -24,9 +22,3 @@ def test_strip_holds_columns_of_the_whole() -> None:
         strip = strip_transfer(optics, amplitudes, pixel, columns, reach=1.0, finer=1.0)
         off = np.linalg.norm(strip - whole[:, columns]) / np.linalg.norm(whole[:, columns])
         assert off < 5e-3
-
-
-def test_estimate_is_the_ratio_of_sums() -> None:
-    error, half = ratio_estimate([1.0, 1.0], [4.0, 4.0])
-    assert error == math.sqrt(1 / 4)
-    assert half == 0.0

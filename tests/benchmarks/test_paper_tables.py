@@ -21,10 +21,8 @@ from benchmarks.paper.results import (
     Finished,
     Summary,
     load_results,
-    record_cells,
     save_finished,
 )
-from tests.benchmarks.conftest import figures_of
 from typer.testing import CliRunner, Result
 
 from veilcam_optics.plan.check import Check
@@ -152,25 +150,3 @@ def test_verdict_is_decided_by_seeds(
     (entry,) = Summary(find_table("mnist"), results).finished()
     assert entry.paper == 95.5
     assert entry.verdict == verdict
-
-
-def test_change_records_the_classifier_that_validates_best(tmp_path: Path) -> None:
-    path = tmp_path / "figures.json"
-    results = [
-        finish(tmp_path, test, classifier=classifier, encoder=encoder, change="shift")
-        for test, classifier, encoder in (
-            (0.96, "CNN16", "learned"),
-            (0.60, "FC800", "learned"),
-            (0.99, "FC800", "lens"),
-        )
-    ]
-    # What it tests at does not choose it.
-    results[1] = results[1].model_copy(update={"test_accuracy": 0.999})
-    record_cells(path, results)
-    found = figures_of(path)
-    assert found == {
-        "robust_shift": 96.0,
-        "robust_shift_CNN16_learned": 96.0,
-        "robust_shift_FC800_learned": 99.9,
-        "robust_shift_FC800_lens": 99.0,
-    }

@@ -52,14 +52,6 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def test_damaged_pictures_end_the_run_before_the_fit(call: Call, tmp_path: Path) -> None:
-    shapes = tmp_path / "shapes"
-    call("draw", shapes, "--count", 50)
-    (shapes / "train" / "star" / "star-0005.png").write_bytes(b"no picture")
-    said = call("fit", "--data", shapes, code=1)
-    assert "1 of 50 pictures cannot be read: train/star/star-0005.png" in said
-
-
 def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
     for name in names:
         (folder / name).mkdir(parents=True)

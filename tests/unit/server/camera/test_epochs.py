@@ -35,7 +35,6 @@ from veilcam_server.errors import (
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_server.masks.pairs import PairSource, load_pairs
 from veilcam_server.masks.source import Mask
-from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
@@ -46,13 +45,6 @@ pytestmark = pytest.mark.numerical
 
 PER_CAPTURE = EveryCaptures(captures=1)
 RECEIVER = ReceiverKey.generate()
-
-
-def alone(bench: Bench) -> Preparation:
-    """What makes epochs ready, without a camera."""
-    make_directory(bench.state_dir)
-    budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
 
 
 def pair_with(bench: Bench, key: ReceiverKey = RECEIVER) -> str:
@@ -128,19 +120,19 @@ def active(camera: MaskedCamera) -> Epoch:
 
 
 def test_names_keys_and_masks_never_repeat(sealed_bench: Bench) -> None:
-    with closing(alone(sealed_bench)) as preparation:
+    with closing(sealed_bench.preparation()) as preparation:
         epochs = [preparation.take() for _ in range(30)]
     assert len({epoch.name for epoch in epochs}) == 30
     assert all(len(bytes.fromhex(epoch.name)) == 16 for epoch in epochs)
     assert len({epoch.mask.levels.tobytes() for epoch in epochs}) == 30
     assert len({bytes(epoch.sealer._key) for epoch in epochs if epoch.sealer}) == 30
     # A second daemon on a copy of this one's state draws others.
-    with closing(alone(sealed_bench)) as preparation:
+    with closing(sealed_bench.preparation()) as preparation:
         assert preparation.take().name not in {epoch.name for epoch in epochs}
 
 
 def test_epoch_that_nobody_took_is_erased_at_the_end(sealed_bench: Bench) -> None:
-    preparation = alone(sealed_bench)
+    preparation = sealed_bench.preparation()
     preparation.begin()
     preparation.wait()
     waiting = preparation._next
@@ -196,7 +188,7 @@ def test_key_is_gone_before_its_mask_is_shown(
         return mask
 
     monkeypatch.setattr(FreshSource, "make", noted)
-    with closing(alone(sealed_bench)) as preparation:
+    with closing(sealed_bench.preparation()) as preparation:
         preparation.take()
         ((key, value),) = drawn
         assert any(value)
@@ -226,7 +218,7 @@ def test_preparation_that_fails_leaves_no_key_and_no_mask(
     monkeypatch.setattr(FreshSource, "make", noted)
     if step == "seal":
         monkeypatch.setattr("veilcam_server.camera.epochs.seal_key", fail)
-    with closing(alone(sealed_bench)) as preparation, pytest.raises(ZeroDivisionError):
+    with closing(sealed_bench.preparation()) as preparation, pytest.raises(ZeroDivisionError):
         preparation.take()
     assert not any(keys[0]._value)
     assert all(is_gone_mask(mask) for mask in masks)
@@ -239,7 +231,7 @@ def is_gone_mask(mask: Mask) -> bool:
 
 
 def test_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: Bench) -> None:
-    with closing(alone(sealed_bench)) as preparation:
+    with closing(sealed_bench.preparation()) as preparation:
         epoch, other = preparation.take(), preparation.take()
         epoch.hold()
         epoch.hold()
@@ -257,7 +249,7 @@ def test_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: Ben
 
 
 def test_stored_mask_outlives_its_epochs(bench: Bench) -> None:
-    with closing(alone(bench)) as preparation:
+    with closing(bench.preparation()) as preparation:
         epoch = preparation.take()
     levels = epoch.mask.levels.copy()
     epoch.retire()
@@ -489,7 +481,7 @@ def test_one_that_is_being_prepared_when_it_is_discarded_is_gone_when_it_is_read
         return make(source, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(FreshSource, "make", slow)
-    with closing(alone(sealed_bench)) as preparation:
+    with closing(sealed_bench.preparation()) as preparation:
         future = preparation.begin()
         assert inside.wait(200)
         preparation.discard()
@@ -641,7 +633,7 @@ def test_stored_masks_release_as_much_as_they_may_and_then_nothing_more(bench: B
 
 def test_while_any_mask_may_release_something_those_that_are_spent_wait(bench: Bench) -> None:
     bench.raw_budget = 1
-    with closing(alone(bench)) as preparation:
+    with closing(bench.preparation()) as preparation:
         spent = [mask for mask in bench.source._masks if not preparation.spent][:2]  # type: ignore[attr-defined]
         for mask in spent:
             preparation._budget.spend(mask, "raw")
@@ -735,5 +727,5 @@ def test_marks_are_kept_of_stored_masks_alone(fresh_bench: Bench, bundle: Bundle
     source = load_pairs(bundle)
     assert isinstance(source, PairSource)
     assert len(source.marks) == len(bundle.pairs)
-    with closing(alone(fresh_bench)) as preparation:
+    with closing(fresh_bench.preparation()) as preparation:
         assert not preparation.spent

@@ -12,10 +12,9 @@ import pytest
 from tests.unit.server.devices.clock import Clock
 
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
-from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.engine import Condition
-from veilcam_server.camera.epochs import Epoch, Preparation
+from veilcam_server.camera.epochs import Epoch
 from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import SelfTestStatus
@@ -23,7 +22,6 @@ from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import FenceError, SelfTestError, UndecidedError
 from veilcam_server.masks.pairs import load_pairs
-from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
@@ -35,13 +33,9 @@ FAILED = "the panel failed and was made opaque: it is tried again"
 
 
 class Rig:
-    """A panel with everything around it within reach."""
-
     def __init__(self, bench: Bench) -> None:
         self.display, self.test, self.clock = bench.display, bench.test, Clock()
-        make_directory(bench.state_dir)
-        budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-        self.preparation = Preparation(bench.source, bench.key, lambda: bench.terms, budget)
+        self.preparation = bench.preparation()
         device = Device(bench.display, bench.sensor, simulated=True)
         self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
         self.guard = Guard(device, Fence(0.0))

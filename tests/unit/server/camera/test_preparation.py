@@ -14,13 +14,10 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_server.camera import epochs as preparation_module
-from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.epochs import Preparation
 from veilcam_server.devices import DisplayError
 from veilcam_server.errors import NotReadyError
 from veilcam_server.masks.source import Mask, MaskSource
-from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
@@ -70,13 +67,6 @@ def gated(bench: Bench) -> Iterator[Gated]:
     source.gate.set()
 
 
-def alone(bench: Bench) -> Preparation:
-    """What makes epochs ready, without a camera."""
-    make_directory(bench.state_dir)
-    budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
-
-
 def settled(camera: MaskedCamera) -> MaskedCamera:
     """Wait for the preparation under way."""
     deadline = time.monotonic() + 200
@@ -109,12 +99,12 @@ def test_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gated: 
 
 
 def test_before_the_first_none_took_any_time(bench: Bench) -> None:
-    with contextlib.closing(alone(bench)) as preparation:
+    with contextlib.closing(bench.preparation()) as preparation:
         assert (preparation.count, preparation.took) == (0, 0.0)
 
 
 def test_nothing_is_prepared_after_the_end(bench: Bench) -> None:
-    preparation = alone(bench)
+    preparation = bench.preparation()
     preparation.close()
     preparation.close()
     with pytest.raises(RuntimeError, match="after shutdown"):
@@ -122,7 +112,7 @@ def test_nothing_is_prepared_after_the_end(bench: Bench) -> None:
 
 
 def test_prepared_epoch_tells_nobody_its_mask(bench: Bench) -> None:
-    with contextlib.closing(alone(bench)) as preparation:
+    with contextlib.closing(bench.preparation()) as preparation:
         prepared = preparation.take()
     assert prepared.name in repr(prepared)
     assert "mask" not in repr(prepared)
@@ -263,7 +253,7 @@ def test_preparing_takes_no_time_of_the_panel_s_lock(bench: Bench, gated: Gated)
 
 
 def test_closing_twice_does_no_harm(bench: Bench) -> None:
-    preparation = alone(bench)
+    preparation = bench.preparation()
     preparation.begin()
     preparation.close()
     preparation.close()
@@ -272,7 +262,7 @@ def test_closing_twice_does_no_harm(bench: Bench) -> None:
 def test_waiter_for_a_preparation_is_let_go_when_it_is_called_off(
     bench: Bench, gated: Gated
 ) -> None:
-    preparation = alone(bench)
+    preparation = bench.preparation()
     gated.gate.clear()
 
     def first() -> None:

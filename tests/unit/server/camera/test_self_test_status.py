@@ -10,38 +10,18 @@ import pytest
 from tests.unit.server.devices.clock import Clock
 
 from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_server.camera.budget import ReleaseBudget
-from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.errors import FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
-from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
 
 
-def unstarted(bench: Bench) -> MaskedCamera:
-    """An engine that has shown nothing yet."""
-    make_directory(bench.state_dir)
-    budget = ReleaseBudget(bench.state_dir, 0)
-    camera = MaskedCamera(
-        Device(bench.display, bench.sensor, simulated=True),
-        Preparation(bench.source, bench.key, lambda: bench.terms, budget),
-        bench.bundle.embedding.shape,
-        bench.test,
-        budget=budget,
-        fence=Fence(0.0),
-    )
-    camera.listen(bench.note)
-    return camera
-
-
 def test_states_up_to_the_first_mask(bench: Bench) -> None:
-    camera = unstarted(bench)
+    camera = bench.unstarted()
     assert camera.state[0] == "starting"
     with pytest.raises(NotReadyError):
         camera.capture(release=False)
@@ -64,7 +44,7 @@ def test_states_up_to_the_first_mask(bench: Bench) -> None:
 def test_without_proof_the_panel_is_opaque_and_nothing_is_captured(
     bench: Bench, fault: Exception, state: str
 ) -> None:
-    camera = unstarted(bench)
+    camera = bench.unstarted()
     bench.test.faults = [fault, fault]
     for _ in range(2):
         with pytest.raises(type(fault)):
@@ -85,7 +65,7 @@ def test_without_proof_the_panel_is_opaque_and_nothing_is_captured(
 
 
 def test_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
-    camera = unstarted(bench)
+    camera = bench.unstarted()
     for fault in (ZeroDivisionError("63 17 4"), KeyboardInterrupt()):
         bench.test.faults = [fault]
         with pytest.raises(type(fault)):
@@ -97,7 +77,7 @@ def test_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
 def test_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
     bench: Bench, display_fault: DisplayError
 ) -> None:
-    camera = unstarted(bench)
+    camera = bench.unstarted()
     bench.test.faults, bench.display.faults = [Undecided("it is too dark")], [display_fault]
     with pytest.raises(Undecided):
         camera.rotate()
