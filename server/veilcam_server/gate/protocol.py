@@ -6,6 +6,7 @@ import asyncio
 import logging
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, cast
@@ -24,6 +25,9 @@ PORTION = 16 * 1024
 """A request is handed on when so much of its body is there, or all of it [bytes]. So whoever
 dribbles is seen by nobody behind the gate: nothing is counted, allocated or logged for it. This is
 also what a body has to bring on within each of its deadlines."""
+UPLOAD_PAUSE = 2.0
+"""Large bodies of which so little comes for so long are handed on by their headers alone [s]. Under
+an attack their socket is dropped before that, and costs no answer."""
 READING_TIME = 30.0
 """An answer that does not move for so long is not read by anybody [s]."""
 
@@ -218,7 +222,7 @@ class GateProtocol(H11Protocol):
     async def _hand_on(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the application have the request once the first portion of its body is there.
 
-        An upload is handed on after its headers, so that it can be refused by them.
+        An upload that waits is handed on after its headers, so that it can be refused by them.
         """
         headers = Headers(scope=scope)
         if "content-length" in headers and "transfer-encoding" in headers:
@@ -228,16 +232,20 @@ class GateProtocol(H11Protocol):
         expecting = "expect" in headers
         upload = expecting or "transfer-encoding" in headers
         upload = upload or int(headers.get("content-length", 0)) > PORTION
-        begun = None if upload else await self._beginning(receive)
+        body, begun = bytearray(), None
+        if not expecting:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(UPLOAD_PAUSE if upload else None):
+                    begun = await self._beginning(receive, body)
         if begun is not None and begun["type"] == "http.disconnect":
             return
-        fresh = upload
+        fresh = begun is None
 
         async def receive_all() -> Message:
             nonlocal begun, expecting, fresh
             if fresh:
                 expecting = fresh = False
-                return await self._beginning(receive)
+                return await self._beginning(receive, body)
             if begun is None:
                 return await receive()
             message, begun = begun, None
@@ -251,9 +259,12 @@ class GateProtocol(H11Protocol):
 
         await self._application(scope, receive_all, send_all)
 
-    async def _beginning(self, receive: Receive) -> Message:
-        """Return the first portion of a body, or all of it; or that the other side has gone."""
-        body, more = bytearray(), True
+    async def _beginning(self, receive: Receive, body: bytearray) -> Message:
+        """Return the first portion of a body, or all of it; or that the other side has gone.
+
+        ``body`` holds what came of it so far.
+        """
+        more = True
         while more and len(body) < PORTION:
             message = await receive()
             if message["type"] == "http.disconnect":
