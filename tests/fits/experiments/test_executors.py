@@ -93,7 +93,7 @@ def test_results_come_with_their_task_s_index(workers: Executor) -> None:
 
 @pytest.mark.slow
 def test_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
-    assert list(workers.run(kill_once, [folder])) == [(0, 1)]
+    assert list(workers.run(kill_once, [folder])) == [(0, 2)]
     assert len(list(folder.iterdir())) == 2
 
 

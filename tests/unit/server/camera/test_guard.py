@@ -261,6 +261,7 @@ def test_answers_with_a_mask_each_are_held_and_refused_at_a_fixed_time(bench: Be
     assert shows_opaque(bench)
     assert camera.due_in() == 0
     good = camera.present[0]
+    camera.await_next()
     camera.rotate_if_due()
     assert not shows_opaque(bench)
     assert bench.sensor.guards == guards + 1
