@@ -124,7 +124,8 @@ test-second-python: $(INSTALLED)
 		echo "make: there is no Python $(SECOND) here: lint, types and tests ran with the first alone"; exit 0; \
 	fi; \
 	set -e; "$$python" -m venv $(SECOND_ENV); \
-	$(SECOND_ENV)/bin/pip install --quiet '.[server,mqtt,discover]' ruff pytest pytest-timeout pytest-xdist hypothesis; \
+	$(SECOND_ENV)/bin/pip install --quiet '.[server,mqtt,discover]' ruff pytest pytest-timeout pytest-xdist hypothesis \
+		pillow jsonschema; \
 	$(SECOND_ENV)/bin/ruff check .; \
 	$(BIN)/mypy --python-version $(SECOND); \
 	$(SECOND_ENV)/bin/pytest -n 2 --dist worksteal -p no:cacheprovider tests/unit

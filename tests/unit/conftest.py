@@ -12,8 +12,9 @@ from typing import NoReturn
 
 import pytest
 
-collect_ignore = [] if importlib.util.find_spec("torch") else ["optics", "training", "server"]
-"""Folders whose tests compute with torch."""
+COMPUTING = ["optics", "training", "server", "client/test_decoding.py"]
+collect_ignore = [] if importlib.util.find_spec("torch") else COMPUTING
+"""Tests that compute with torch."""
 
 REFUSED = (
     (subprocess.Popen, "__init__"),
