@@ -39,7 +39,7 @@ NUMERICAL = (
     ),
     *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "network")),
     *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements")),
-    "unit/training/experiments/test_adapt.py",
+    "app/training",
     *(f"fits/{room}" for room in ("encoders", "models", "trainer")),
     "fits/data/test_sources.py",
     *(f"fits/experiments/test_{name}.py" for name in ("fit", "fresh")),
