@@ -123,8 +123,8 @@ def test_faults_are_those_of_a_camera_and_are_mended(fake: FakeCamera) -> None:
         camera.set_faults(Faults(sensor=SensorFaults(gone=True)))
         with pytest.raises(DeviceError):
             camera.capture()
-        fake.put_back()
-        camera.rotate()
+    fake.put_back()
+    with fake.camera() as camera:  # it asks again: a lost sensor is opened after a pause
         assert camera.capture().id
 
 
