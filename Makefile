@@ -39,7 +39,7 @@ WAITING := $(BIN)/pytest -n 4 --dist worksteal
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
 	@echo "make serve    a simulated camera that looks by itself: open http://127.0.0.1:8787"
-	@echo "make check    lint, types, layers and the fast tests: before every commit"
+	@echo "make check    lint, types, layers and the fast unit tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make test-page   the page in a browser: needs Chromium, on Debian apt install chromium"
 	@echo "make test-thorough   the tests that take longest, which make test leaves out: before every merge"
@@ -146,7 +146,7 @@ public-types: $(INSTALLED)
 	$(BIN)/python -m benchmarks.client.types
 
 fast: $(INSTALLED)
-	$(COMPUTING) -m "not slow and not thorough and not system and not page"
+	$(COMPUTING) -m "not slow and not thorough and not numerical" tests/unit
 
 pytest: $(INSTALLED)
 	$(WAITING) -m "not thorough and not system and not page"
