@@ -9,11 +9,11 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from PIL import Image
 from pydantic import ValidationError
+from tests.app.server.conftest import asking
 
 from veilcam_client import (
     AsyncCamera,
@@ -31,11 +31,9 @@ from veilcam_client.errors import ApiError
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.status import Status
-from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
 from veilcam_server.daemon import build_service
 from veilcam_server.sealing.receivers import ReceiverStore
-from veilcam_server.security.admission import Admission
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
 
@@ -64,20 +62,9 @@ def given(tmp_path: Path, bundle_file: Path, scene_file: Path) -> dict[str, Any]
 
 
 @asynccontextmanager
-async def client(given: dict[str, Any]) -> AsyncIterator[httpx.AsyncClient]:
-    service = build_service(Settings.model_validate(given))
-    transport = httpx.ASGITransport(create_app(service, Admission()))
-    async with (
-        service.open(),
-        httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,
-    ):
-        yield http
-
-
-@asynccontextmanager
 async def camera(given: dict[str, Any]) -> AsyncIterator[AsyncCamera]:
     async with (
-        client(given) as http,
+        asking(build_service(Settings.model_validate(given))) as http,
         AsyncCamera("http://localhost", http_client=http, max_retries=0, key=KEY) as sdk,
     ):
         yield sdk
@@ -149,7 +136,7 @@ async def test_capture_under_way_sees_to_its_end_what_it_began_with(given: dict[
 async def test_scene_that_is_no_picture_changes_nothing(
     given: dict[str, Any], *, content: bytes, media_type: str, status: int, code: str, detail: str
 ) -> None:
-    async with client(given) as http:
+    async with asking(build_service(Settings.model_validate(given))) as http:
         answer = await http.put(PATH, content=content, headers={"Content-Type": media_type})
         assert (answer.status_code, answer.json()["code"]) == (status, code)
         assert detail in answer.json()["detail"]

@@ -8,10 +8,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from tests.app.server.conftest import asking
 from tests.unit.client.recordings import AT, STATUS, VERDICT, Daemon, answer
 from tests.unit.client.sealing import NOTES, VALUES
 from tests.unit.client.sealing import Device as SealingDevice
@@ -25,11 +25,9 @@ from veilcam_client.recording import record
 from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
 from veilcam_client.wire.watch import WatchOff
-from veilcam_server.api.app import create_app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.daemon import build_service
 from veilcam_server.errors import StartError
-from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 
@@ -50,20 +48,9 @@ def service_of(replay: Path) -> Service:
 
 
 @asynccontextmanager
-async def replaying(path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    service = service_of(path)
-    transport = httpx.ASGITransport(create_app(service, Admission()))
-    async with (
-        service.open(),
-        httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,
-    ):
-        yield http
-
-
-@asynccontextmanager
 async def camera(path: Path) -> AsyncIterator[AsyncCamera]:
     async with (
-        replaying(path) as http,
+        asking(service_of(path)) as http,
         AsyncCamera("http://localhost", http_client=http, max_retries=0) as sdk,
     ):
         yield sdk
@@ -106,7 +93,7 @@ def today(path: Path) -> str:
 
 
 async def test_array_alone_says_so_too(path: Path) -> None:
-    async with replaying(path) as http:
+    async with asking(service_of(path)) as http:
         await http.post("/v1/captures")
         taken = await http.post("/v1/captures", headers={"Accept": "application/x-npy"})
     assert taken.headers["Veilcam-Replay"] == "1"
@@ -167,7 +154,7 @@ async def test_events_say_that_they_tell_of_a_replay(path: Path) -> None:
 
 async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
     """Every operation, asked plainly: what is documented, and never that it is ready."""
-    async with replaying(path) as http:
+    async with asking(service_of(path)) as http:
         document = (await http.get("/v1/openapi.json")).json()
         for route, operations in document["paths"].items():
             for method, operation in operations.items():
@@ -200,7 +187,7 @@ async def test_sealed_recording_comes_sealed_and_its_receiver_opens_it(tmp_path:
         with pytest.raises(SealedError, match="key="):
             np.asarray(await sdk.capture())
     async with (
-        replaying(path) as http,
+        asking(service_of(path)) as http,
         AsyncCamera("http://localhost", http_client=http, key=key) as sdk,
     ):
         first, second = await sdk.capture(), await sdk.capture()
@@ -225,7 +212,7 @@ async def test_scores_are_told_as_far_as_they_were_recorded(tmp_path: Path) -> N
 
 async def test_recording_a_replay_is_refused_by_what_is_read(path: Path, tmp_path: Path) -> None:
     """Whoever writes down what a replay answers gets no recording of it."""
-    async with replaying(path) as http:
+    async with asking(service_of(path)) as http:
         status, taken = await http.get("/v1/status"), await http.post("/v1/captures")
     header = {"recorded_at": AT.isoformat(), "status": status.json()}
     header |= {"format": "veilcam-recording", "version": 1}
