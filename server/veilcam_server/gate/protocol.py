@@ -26,8 +26,8 @@ PORTION = 16 * 1024
 dribbles is seen by nobody behind the gate: nothing is counted, allocated or logged for it. This is
 also what a body has to bring on within each of its deadlines."""
 UPLOAD_PAUSE = 2.0
-"""Large bodies of which so little comes for so long are handed on by their headers alone [s]. Under
-an attack their socket is dropped before that, and costs no answer."""
+"""The gate waits so long for the first portion of a large body [s]. Then it hands on the headers
+alone. The socket of an attack is dropped before that, so it costs no answer."""
 READING_TIME = 30.0
 """An answer that does not move for so long is not read by anybody [s]."""
 
