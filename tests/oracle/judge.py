@@ -209,7 +209,7 @@ def finest(chosen: Plan) -> Plan:
         step=max(min(fringe / 4, pixel / 16), max(height, width) / _MOST_NODES),
         wavelengths=5 if any(model.conditions.bandwidth) else 1,
         layers=5 if model.conditions.depth_range else 1,
-        zones=max(model.scene.shape) if model.conditions.off_axis else 1,
+        zones=max(model.scene.shape) if model.sampling.oblique else 1,
         dtype=torch.float64,
     )
     sampling = replace(used.sampling, method="transfer", diffraction=True, spherical=True)

@@ -6,6 +6,7 @@ the sensor's short side. The origin of every plane is the optical axis.
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Self
 
 from veilcam_optics.errors import (
@@ -222,6 +223,7 @@ class Camera:
             self.sensor.width + scene.columns * image,
         )
 
+    @lru_cache(maxsize=128)  # noqa: B019 - of a few cameras, which hold little
     def row_amplitudes(self, channel: int) -> tuple[float, ...]:
         """Amplitude, in [0, 1], that each mask row's filter passes of channel 0 R, 1 G or 2 B."""
         cycle, first = self.panel.filter_cycle, self.window.first_row

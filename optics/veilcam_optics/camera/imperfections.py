@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, ClassVar, Self
 from pydantic import ConfigDict
 
 from veilcam_optics.arrays import Array, namespace
-from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
+from veilcam_optics.camera.geometry import CHANNELS, Camera
 from veilcam_optics.camera.masks import respond
 from veilcam_optics.errors import require, require_ratio, require_within
 
 if TYPE_CHECKING:
     import torch
-
-MOST_OFF_AXIS = 1.4
-"""Largest angle of a scene's edge to the axis that is computed [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +169,6 @@ class Conditions:
         bandwidth: full width at half maximum of the light of R, G and B [m]; a Gaussian spectrum.
         depth_range: the scene's pixels lie evenly spread over this depth, centred on the scene's
             distance [m].
-        off_axis: angle between the axis and the scene's upper edge up to which the point spread
-            function is let change and fade over the field [rad]; None: a plan takes the scene's
-            own, see :func:`half_field`, and a model that was not planned none. 0: a paraxial scene.
         imperfections: departures of the camera as built.
         levels: number of amplitudes that the panel can show; 0 for any.
         bayer: every sensor pixel reads one colour (RGGB), and embedding pixels cut through them.
@@ -191,7 +185,6 @@ class Conditions:
 
     bandwidth: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_range: float = 0.0
-    off_axis: float | None = None
     imperfections: Imperfections = NOMINAL
     levels: int = 0
     bayer: bool = False
@@ -215,7 +208,6 @@ class Conditions:
             ("adc_range", ""),
         ):
             require_within(f"conditions.{name}", getattr(self, name), unit, 0, math.inf)
-        require_within("conditions.off_axis", self.off_axis or 0.0, "rad", 0, MOST_OFF_AXIS)
         for name, low, high in (("levels", 2, 65536), ("adc_bits", 1, 24)):
             value = getattr(self, name)
             require(
@@ -243,13 +235,5 @@ class Conditions:
             )
 
 
-def half_field(scene: Scene) -> float:
-    """Angle between the axis and the upper edge of ``scene`` [rad]."""
-    return math.atan(scene.height / 2 / scene.distance)
-
-
 IDEAL = Conditions()
 """Nothing beyond the ideal."""
-
-PARAXIAL = Conditions(off_axis=0.0)
-"""As :data:`IDEAL`, of a scene that is taken for paraxial whatever its size."""

@@ -42,9 +42,6 @@ def print_plan(
     ] = None,
     bandwidth: Annotated[float, typer.Option(help="Of each channel, FWHM [m].")] = 0.0,
     depth_range: Annotated[float, typer.Option(help="Of the scene [m].")] = 0.0,
-    off_axis: Annotated[
-        float | None, typer.Option(help="Half the field of view [rad]; the scene's own by default.")
-    ] = None,
     gamma: Annotated[
         float, typer.Option(help="Exponent of the panel's response, 0.1 to 10.")
     ] = 1.0,
@@ -81,7 +78,6 @@ def print_plan(
             Conditions(
                 bandwidth=(bandwidth,) * 3,
                 depth_range=depth_range,
-                off_axis=off_axis,
                 imperfections=Imperfections(
                     gamma=gamma,
                     contrast_floor=contrast_floor,

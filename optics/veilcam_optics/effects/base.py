@@ -52,6 +52,7 @@ class Assessment:
         error: relative L2 at the embedding if it were ignored.
         cost_ms: time that the effect adds to a step when it is computed [ms].
         reason: why, in words.
+        present: True where this camera, scene or these conditions have the effect at all.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Assessment:
     error: float
     cost_ms: float
     reason: str
+    present: bool = True
 
 
 class Effect:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -13,40 +12,22 @@ from torch import Tensor
 from veilcam_optics.effects.base import Comparison, Effect, Imperfection
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.field_angle import fading, scene_tangents
 from veilcam_optics.transfer.tables import Beam, Reach
 
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 """Standard deviations in the full width at half maximum of a normal distribution."""
 
-_NARROW = 1e-4
-"""Scene pixels, as tangents: the middle stands for such a one to 1e-8, its edges round more."""
-
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    return _tangents(scene_pixel_tangent(model), model.scene.shape)
-
-
-def _tangents(side: float, shape: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    return tuple(  # type: ignore[return-value]
-        (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * side for count in shape
-    )
+    y, x = scene_tangents(model.scene)
+    return torch.from_numpy(y), torch.from_numpy(x)
 
 
 def scene_pixel_tangent(model: Model) -> float:
     """Return the distance between the tangents of neighbouring scene pixels."""
-    return math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
-
-
-def _edges(middles: Tensor, side: float) -> Tensor:
-    """Tangents of where scene pixels end, from those of their middles."""
-    return torch.cat((middles[:1] - side / 2, middles + side / 2))
-
-
-def _seen(y: Tensor, x: Tensor) -> Tensor:
-    """Integral of ``(1 + y^2 + x^2)^-2`` over the rectangle from the axis to a corner."""
-    root_y, root_x = (1 + y.square()).sqrt(), (1 + x.square()).sqrt()
-    return (y / root_y * (x / root_y).atan() + x / root_x * (y / root_x).atan()) / 2
+    return model.scene.pixel / model.scene.distance
 
 
 def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -89,7 +70,7 @@ class Zone:
 
 def zone_counts(model: Model) -> tuple[int, int]:
     """Zones along y and x."""
-    most = model.sampling.zones if model.conditions.off_axis else 1
+    most = model.sampling.zones if model.sampling.oblique else 1
     return min(most, model.scene.rows), min(most, model.scene.columns)
 
 
@@ -286,12 +267,14 @@ class OffAxis(Effect):
 
     name = "field angle"
     free = False
-    absent = "paraxial scene"
-    neutral = MappingProxyType({"off_axis": 0.0})
 
     def present(self, model: Model) -> bool:
-        """Return whether an angle is given."""
-        return bool(model.conditions.off_axis)
+        """Return True, unless the model leaves it out."""
+        return model.sampling.oblique
+
+    def without(self, model: Model) -> Model:
+        """All light as bright, and as wide, as light along the axis."""
+        return replace(model, sampling=replace(model.sampling, oblique=False, zones=1))
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -299,33 +282,13 @@ class OffAxis(Effect):
 
     def reason(self, model: Model) -> str:
         """Angle and fading."""
-        angle = model.conditions.off_axis or 0.0
+        angle = math.atan(model.scene.height / 2 / model.scene.distance)
         fade = 100 * (1 - math.cos(angle) ** 4)
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 
     def fade(self, model: Model) -> Tensor:
         """Mean of cos^4 over a pixel."""
-        return _fading(scene_pixel_tangent(model), model.scene.shape)
-
-
-@lru_cache(maxsize=8)
-def _fading(side: float, shape: tuple[int, int]) -> Tensor:
-    """Mean of cos^4 over every scene pixel: Lambert's law, the tilted mask, twice the distance.
-
-    In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
-    Radiation Heat Transfer Configuration Factors, B-4). Differences of it round where pixels
-    are narrow; there the middle's is as good.
-
-    Args:
-        side: tangent of a scene pixel.
-        shape: shape of the scene.
-    """
-    with torch.inference_mode(mode=False):  # it is kept, and some who ask need a gradient
-        y, x = _tangents(side, shape)
-        if side < _NARROW:
-            return (1 + y.square()[:, None] + x.square()).pow(-2)
-        corners = _seen(_edges(y, side)[:, None], _edges(x, side))
-        return corners.diff(dim=0).diff(dim=1) / side**2
+        return torch.from_numpy(fading(model.scene))
 
 
 class StrayLight(Imperfection):

@@ -24,6 +24,7 @@ class Sampling:
         diffraction: False for the geometric shadow of every sub-pixel.
         spherical: False for a scene at infinity.
         binning: False to read an embedding value at its pixel's centre.
+        oblique: False to take light from every scene pixel for light along the axis.
         shot: False to leave the photon noise out.
         reach: distance up to which sub-pixels interfere.
         wavelengths: samples of each channel's spectrum.
@@ -38,6 +39,7 @@ class Sampling:
     diffraction: bool = True
     spherical: bool = True
     binning: bool = True
+    oblique: bool = True
     shot: bool = True
     reach: Reach = field(default_factory=Reach)
     wavelengths: int = 1
@@ -129,4 +131,5 @@ class Model:
             shadow=not sampling.diffraction,
             plane_wave=not sampling.spherical,
             point_binning=not sampling.binning,
+            axial=not sampling.oblique,
         )

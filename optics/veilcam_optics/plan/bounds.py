@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -9,26 +10,44 @@ from veilcam_optics.camera.geometry import CHANNELS, Camera
 from veilcam_optics.effects.composition import beams
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
-from veilcam_optics.plan.boxes import box_cells
-from veilcam_optics.plan.cost import nodes
-from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.transfer.grid import cells_in_aperture, sample_pitch
+from veilcam_optics.effects.sensor import mean_shares
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.plan.cost import meetings, nodes
+from veilcam_optics.transfer.entries import node_count
 from veilcam_optics.transfer.tables import Reach
 
 _MAX_VALUES = 400_000
 """Field values in the boxes of one axis: some 30 ms. Pairs that need more are bounded alone."""
 
+_OFFSETS, _LINES = 6, 64
+"""Offsets, and lines of the mask, in whose boxes one aperture's fringes are resolved at least."""
+
 _MOST_VALUES = 1_200_000
 """Field values of a whole axis: more are too many for an operator to be made quickly."""
 
-_GRID_ERROR, _GRID_ORDER, _GRID_SPREAD = 0.105, 0.7, 5.5
-"""The grid's error is about 0.105 / (samples across an aperture)^0.7: cells cut apertures.
+_NODES_IN_FRINGE, _NODES_IN_BOX = 6, 8
+"""Nodes of an operator in the finest fringe, and in a box: see :data:`QUADRATURE`."""
 
-Light that they misplace stays in its pixel where pixels are wide; else it is wrong by 5.5 times
-as much as diffraction spreads it, in pixels. Measured for apertures of 6 to 60 um, 0.2 to 4 mm
-before the sensor, 2 to 40 samples across: within a factor of 2, but for less error at 2 to 4.
-"""
+QUADRATURE = 1e-5
+"""Relative L2 of the integration: 1e-7 where few pairs interfere, 1e-5 where all do; measured."""
+
+
+def check_lit(model: Model) -> None:
+    """Raise :class:`OpticsError` if no light that the sensor counts passes the panel."""
+    camera, built = model.camera, model.conditions.imperfections
+    rows, columns = camera.mask_shape
+    obey = np.ones(rows)
+    obey[list(built.dead_rows)] = built.dead_transmittance
+    if len(set(built.dead_columns)) == columns:
+        obey[:] = built.dead_transmittance
+    if not any(
+        share and (np.array(camera.row_amplitudes(channel)) * obey).any()
+        for channel, share in enumerate(mean_shares(model))
+    ):
+        raise OpticsError(
+            "camera sees no light: use a panel with a row that obeys, and whose filter passes a "
+            "colour that the sensor counts"
+        )
 
 
 def shadow_error(model: Model, aperture: float) -> float:
@@ -50,48 +69,6 @@ def shadow_error(model: Model, aperture: float) -> float:
     wavelength, distance = max(camera.wavelengths), camera.distance
     lost = 2 * wavelength / (math.pi**2 * aperture) * math.atan(box / distance)
     return min(1.0, math.hypot(wavelength * distance / (aperture * box), lost))
-
-
-def near_scene(model: Model) -> float:
-    """Relative L2 of taking the light of a scene point for as bright on all of the mask.
-
-    It comes at an angle of its own to every part, and is fainter there by 3/2 theta^2: the cube of
-    the cosine, of twice the distance and of the slant.
-    """
-    camera = actual_camera(model)
-    panel, window = camera.panel, camera.window
-    # Of points spread evenly over a length, sqrt(<x^4>) is about 3/2 <x^2>.
-    sides = (window.rows * panel.pitch_y) ** 2 + (window.columns * panel.pitch_x) ** 2
-    return 1.5 * 1.5 * sides / 12 / model.scene.distance**2
-
-
-def grid_error(model: Model, oversampling: float) -> float:
-    """Relative L2 of the grid path in axial light; 1 where it cannot work."""
-    camera, scene = actual_camera(model), model.scene
-    sensor, panel = camera.sensor, camera.panel
-    cell = sample_pitch(camera, oversampling)
-    image = scene.pixel_at_sensor(camera)
-    height, width = camera.lit_sides(scene)
-    mask = Grid.square(
-        math.ceil(camera.window.rows * panel.pitch_y / cell),
-        math.ceil(camera.window.columns * panel.pitch_x / cell),
-        cell,
-    )
-    target = Grid.square(math.ceil(height / cell), math.ceil(width / cell), cell)
-    propagator = AngularSpectrum(padding="reach")
-    if not all(
-        propagator.supports(mask, target, camera.distance, wavelength)
-        for wavelength in camera.wavelengths
-    ):
-        return 1.0
-    embedding = model.embedding
-    pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
-    error = _GRID_ERROR / cells_in_aperture(camera, oversampling) ** _GRID_ORDER
-    aperture = min(panel.aperture_y, panel.aperture_x)
-    spread = max(camera.wavelengths) * camera.distance / aperture
-    # Errors of cells average out over larger pixels, not over smaller ones.
-    widest = max(1.0, 2 * cell / (pixel + image), _GRID_SPREAD * spread / (pixel + image))
-    return float(min(1.0, error * widest))
 
 
 def far_pairs(model: Model, axis: int) -> Tensor:
@@ -129,9 +106,8 @@ def meeting_rows(camera: Camera) -> set[int]:
     """Return the distances, in rows, of two rows that pass light of one channel."""
     found: set[int] = set()
     for channel in range(len(CHANNELS)):
-        lit = torch.tensor(camera.row_amplitudes(channel)).nonzero().flatten()
-        found.update((lit[:, None] - lit).flatten().tolist())
-    return {rows for rows in found if rows > 0}
+        found.update(rows for rows, pairs in enumerate(meetings(camera, channel)) if pairs)
+    return found - {0}
 
 
 def affordable_reach(model: Model, axis: int, offsets: int) -> int:
@@ -145,7 +121,7 @@ def affordable_reach(model: Model, axis: int, offsets: int) -> int:
     shortest = float(min(beam.wavelength for beam in beams(model)))
     reach = 0
     while reach + 1 < count:
-        cells = box_cells(side, shortest, camera.distance, width + (reach + 1) * pitch)
+        cells = node_count(side, shortest * camera.distance / (width + (reach + 1) * pitch))
         if cells * offsets * count > _MAX_VALUES:
             break
         reach += 1
@@ -167,12 +143,21 @@ def fringe_step(model: Model, reach: Reach) -> float:
     )
     pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
     image = model.scene.pixel_at_sensor(camera)
-    wanted = min(float(shortest) / apart / 2.2, (pixel + image) / 8)
+    wanted = min(float(shortest) / apart / _NODES_IN_FRINGE, (pixel + image) / _NODES_IN_BOX)
     return max(wanted, smallest_step(model))
 
 
 def resolved(model: Model) -> bool:
     """Return whether the fringes of the model's reach can be sampled."""
+    camera = actual_camera(model)
+    shortest = float(min(beam.wavelength for beam in beams(model))) * camera.distance
+    for side, width, count in (
+        (camera.sensor.height / model.embedding.rows, camera.panel.aperture_y, camera.window.rows),
+        (camera.sensor.width / model.embedding.columns, camera.panel.aperture_x, 1),
+    ):
+        nodes_in_box = node_count(side + model.scene.pixel_at_sensor(camera), shortest / width)
+        if nodes_in_box * min(count, _LINES) * _OFFSETS > _MAX_VALUES:
+            return False
     return fringe_step(model, model.sampling.reach) > 1.01 * smallest_step(model)
 
 

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera
@@ -79,11 +80,7 @@ def _counted(
     row_pairs = products = 0
     stacks = set()
     for channel in set(channels):
-        amplitudes = camera.row_amplitudes(channel)
-        by_offset = [
-            sum(1 for a, b in zip(amplitudes, amplitudes[dr:], strict=False) if a * b)
-            for dr in range(far_rows + 1)
-        ]
+        by_offset = meetings(camera, channel)[: far_rows + 1]
         for dc in range(far_columns + 1):
             count = sum(by_offset) + (sum(by_offset[1:]) if dc else 0)
             if not count:
@@ -94,6 +91,14 @@ def _counted(
             # Those of one shape are multiplied at once; colours that are kept apart are not.
             stacks.add((channel if apart else 0, dc, count))
     return row_pairs, products, len(stacks)
+
+
+@lru_cache(maxsize=128)
+def meetings(camera: Camera, channel: int) -> tuple[int, ...]:
+    """Return the number of pairs of rows 0, 1, 2, ... apart that both pass a channel's light."""
+    lit = (np.array(camera.row_amplitudes(channel)) > 0).astype(float)
+    together = np.fft.irfft(abs(np.fft.rfft(lit, 2 * len(lit))) ** 2)[: len(lit)]
+    return tuple(int(count) for count in np.rint(together))
 
 
 def nodes(model: Model) -> tuple[int, int]:

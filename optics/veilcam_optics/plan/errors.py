@@ -10,27 +10,23 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
 from veilcam_optics.effects.mask import DeadLines, MaskShift
 from veilcam_optics.effects.model import Model
-from veilcam_optics.effects.sensor import BlackLevel
+from veilcam_optics.effects.sensor import BlackLevel, converter_range
 from veilcam_optics.plan.bounds import (
     affordable_reach,
     far_pairs,
     fringe_step,
     meeting_rows,
-    near_scene,
     nearest_rows,
     resolved,
     shadow_error,
-    smallest_step,
 )
 from veilcam_optics.plan.grids import GridErrors
-from veilcam_optics.plan.joint import joint_error
-from veilcam_optics.plan.paraxial import Missing, missing_light, uneven_error
-from veilcam_optics.plan.probe import Probe, relative
-from veilcam_optics.plan.reading import converted
-from veilcam_optics.plan.rotation import rotation_errors
+from veilcam_optics.plan.probe import Probe, cropped, relative
+from veilcam_optics.plan.series import missing_errors, rotation_errors, uneven_error
 from veilcam_optics.transfer.tables import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
@@ -49,6 +45,17 @@ _PLAIN = 3.0
 
 _LARGE = 500
 """Weights of a mask."""
+
+_ALIKE = 0.25
+"""Standard deviation of codes that all lie about as far from where the next one begins."""
+
+_SELDOM = 0.01
+"""Of so few readings one holds a changed code: what that adds is left out, since a prediction is to
+hold in ninety-nine cases of a hundred."""
+
+_AT_ONCE = 0.5
+"""Of a code that changes, squared: twice the prediction then holds two of them, or one where a mask
+passes less light than others."""
 
 _LEAST_TOLERANCE = 1e-5
 """Below it nothing is sampled any finer: no plan will get there."""
@@ -221,48 +228,30 @@ class ErrorModel:
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
         # Of all channels: their errors partly average out in a gray measurement.
-        finest = self._probe.transfer(self._near.with_samples(name, _FINEST[name]))
-        return relative(self._probe.transfer(self._near.with_samples(name, count)), finest)
+        finest = self._fewer.transfer(self._near.with_samples(name, _FINEST[name]))
+        return relative(self._fewer.transfer(self._near.with_samples(name, count)), finest)
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
-        errors, fade = self._any_zones, OffAxis().fade(self.model)
+        fade = OffAxis().fade(self.model)
+        errors = torch.zeros_like(fade)
         for actual, taken, slope in zip(
             self._stretches, _taken(self.model, count), self._slopes, strict=True
         ):
             errors = errors + slope**2 * (actual - taken.log()).square().mean(0)
+        errors = errors + brightness_errors(self.model, count) + self._uneven**2
         if count is None:
-            errors = errors + (1 / fade - 1).square()
+            errors = errors + (1 / fade.clamp_min(1e-12) - 1).square()
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
 
     @cached_property
-    def _any_zones(self) -> Tensor:
-        """Squares of what no number of zones helps against, for every scene pixel."""
-        model = self.model
-        y, x = tangents(model)
-        # The angle to a scene point is not quite the same from everywhere on mask and sensor.
-        side = max(model.camera.sensor.height, model.camera.sensor.width)
-        slanted = (y.square()[:, None] + x.square()) * (
-            4 * side / math.sqrt(12) / model.scene.distance
-        ) ** 2
-        return slanted + near_scene(model) ** 2 + self._uneven**2
+    def _uneven(self) -> float:
+        return uneven_error(Probe(self.model, _FEWEST), self._near, self._telling)
 
     @cached_property
     def _stretches(self) -> tuple[Tensor, Tensor]:
         down, across = _in_pixels(self.model)
         return down.log(), across.log()
-
-    @cached_property
-    def _uneven(self) -> float:
-        """Relative L2 of the fading across scene pixels."""
-        side = scene_pixel_tangent(self.model)
-        t_y, t_x = tangents(self.model)
-        farthest = math.hypot(float(t_y.abs().max()), float(t_x.abs().max()))
-        # Where the sensor sees one side of a pixel and not the other, by half of what they differ.
-        most = 2 * math.sqrt(2) * side * (farthest + side / 2)
-        if most <= self._small:
-            return most
-        return uneven_error(Probe(self.model, _FEWEST), self._near, self._small, self._telling)
 
     @cached_property
     def _slopes(self) -> tuple[float, float]:
@@ -290,22 +279,18 @@ class ErrorModel:
 
     def paraxial(self) -> float:
         """Relative L2 of Fresnel's approximation, which every factored field makes."""
-        return self._missing.errors[0] if self._missing else 0.0
+        return self._missing[0]
 
     @cached_property
     def _fewer(self) -> Probe:
         return Probe(self.model, _FEWER, self._probe)
 
     @cached_property
-    def _missing(self) -> Missing | None:
-        """Light that is left out of exact light; None of shadows."""
+    def _missing(self) -> tuple[float, float]:
+        """Relative L2 of the light that factored fields, and grids, leave out; 0 of shadows."""
         if not self.model.sampling.diffraction:
-            return None
-        return missing_light(self._fewer, self.model, self._telling)
-
-    def joint(self, chosen: Model) -> float:
-        """Relative L2 of a setting's light, every change with its sign; see :mod:`.joint`."""
-        return joint_error(self._fewer, self.model, chosen, self._missing)
+            return 0.0, 0.0
+        return missing_errors(self._fewer, self.model, self._telling)
 
     def read(self, error: float) -> float:
         """Relative L2 of what the camera reads, of an error of the light."""
@@ -320,30 +305,13 @@ class ErrorModel:
         offset = BlackLevel().error(self)
         return min(1.0, math.hypot(ROUNDING[dtype], torch.finfo(dtype).eps * offset))
 
-    def quadrature(self, model: Model) -> tuple[float, float]:
-        """Largest step [m] whose integration error is far below the tolerance, and that error.
-
-        Between nodes products of fields are taken for straight: that goes with the step squared.
-        """
-        if not model.sampling.diffraction:
-            return model.sampling.step, 0.0
-        longest = fringe_step(model, model.sampling.reach)
-        judged = model.with_sampling(wavelengths=1, layers=1, step=longest)
-        size = float(self._fewer.transfer(judged, channels=self._telling).norm())
-        changed = float(self._fewer.straightened(judged, channels=self._telling).norm())
-        if not size or not changed:
-            return longest, 0.0
-        wanted = longest * math.sqrt(self._small * size / changed)
-        step = max(min(longest, wanted), smallest_step(model))
-        return step, min(1.0, (step / longest) ** 2 * changed / size)
-
     def grids(self, model: Model, least: float) -> GridErrors:
         """Errors of the grids of a model, from the coarsest oversampling on."""
-        return GridErrors(model, least, self._probe.masks)
+        return GridErrors(cropped(model), least, self._probe.masks)
 
     def off_grid(self) -> float:
         """Relative L2 of what every grid leaves out of exact light, however fine."""
-        return self._missing.errors[1] if self._missing else 0.0
+        return self._missing[1]
 
 
 def _dials(reach: int, meeting: Iterable[int] | None = None) -> list[int]:
@@ -356,7 +324,7 @@ def _dials(reach: int, meeting: Iterable[int] | None = None) -> list[int]:
     there = range(reach + 1) if meeting is None else sorted({0, reach, *meeting})
     found = [0]
     for dial in there:
-        if found[-1] < dial <= reach and (dial == reach or dial >= found[-1] * 4 // 3):
+        if found[-1] < dial <= reach and (dial == reach or dial >= found[-1] * 3 // 2):
             found.append(dial)
     return found
 
@@ -377,9 +345,98 @@ def _in_pixels(model: Model) -> tuple[Tensor, Tensor]:
     """Factors on the wavelength along y and x at nine nodes of every scene pixel, (9, *scene)."""
     y, x = tangents(model)
     nodes = torch.from_numpy(np.polynomial.legendre.leggauss(3)[0])
-    nodes = nodes * math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+    nodes = nodes * scene_pixel_tangent(model) / 2
     down, across = torch.cartesian_prod(nodes, nodes).T
     return stretch(
         (y[:, None] + down[:, None, None]).expand(9, *model.scene.shape),
         (x + across[:, None, None]).expand(9, *model.scene.shape),
     )
+
+
+def brightness_errors(model: Model, count: int | None) -> Tensor:
+    """Squares of the relative error of the brightness over the mask, for every scene pixel.
+
+    Factors along y and x stand for equation (9): each takes the tangent along the other axis for
+    its root mean square in a zone. Without zones, the mask is taken for evenly bright.
+
+    Args:
+        model: model with the mask and the scene.
+        count: zones along each side; None for an evenly bright mask.
+
+    Returns:
+        (scene rows, scene columns).
+    """
+    camera, distance = model.camera, model.scene.distance
+    y, x = tangents(model)
+    nodes = torch.from_numpy(np.polynomial.legendre.leggauss(3)[0])
+    # Light from farther out on the mask than this misses the sensor.
+    sides = (
+        min(rows * pitch, lit) / 2 / distance
+        for rows, pitch, lit in zip(
+            camera.mask_shape,
+            (camera.panel.pitch_y, camera.panel.pitch_x),
+            camera.lit_sides(model.scene),
+            strict=True,
+        )
+    )
+    down, across = (
+        (at[:, None] - side * nodes).square() for at, side in zip((y, x), sides, strict=True)
+    )
+    y2, x2 = y.square(), x.square()
+    whole = 1 + down[:, None, :, None] + across[None, :, None, :]
+    exact = (whole / (1 + y2[:, None] + x2)[:, :, None, None]).log()
+    taken = torch.zeros_like(exact)
+    if count is not None:
+        for row in zones(model.with_sampling(zones=count)):
+            for zone in row:
+                other_y, other_x = x2[zone.columns].mean(), y2[zone.rows].mean()
+                along_y = ((1 + other_y + down) / (1 + other_y + y2)[:, None]).log()
+                along_x = ((1 + other_x + across) / (1 + other_x + x2)[:, None]).log()
+                taken[zone.rows, zone.columns] = (
+                    along_y[zone.rows, None, :, None] + along_x[None, zone.columns, None, :]
+                )
+    return (1.5 * (exact - taken)).square().mean((-2, -1))
+
+
+def converted(error: float, values: Tensor, conditions: Conditions, pixels: int) -> float:
+    """Relative L2 of what is read, of an error of the light: equation (13).
+
+    Two values that are ``e`` of a step apart are rounded to different codes in ``e`` of all cases,
+    and are a whole step apart then: a small error of faint light grows. What is below half a step
+    has nothing to fall to: it changes if the error lifts it above.
+
+    Codes are whole: of a reading none is changed, or one at least, or all where all are alike. What
+    changes in few readings is little as a mean over them, and much where it does: a prediction is
+    to hold there, too.
+
+    Args:
+        error: relative L2 of the light.
+        values: noiseless embeddings of a white scene, (masks, rows, columns).
+        conditions: conditions with a converter.
+        pixels: values in a reading.
+    """
+    step = converter_range(conditions) / (2**conditions.adc_bits - 1)
+    sizes = values.square().mean((-2, -1), keepdim=True).sqrt()
+    lit = sizes.flatten() > 0
+    if not lit.any():
+        return error
+    values, sizes = values[lit], sizes[lit]
+    off = error * sizes / step
+    if conditions.full_well:
+        values = values.clamp_max(conditions.full_well / conditions.electrons)
+    codes = ((values + conditions.black_level) / step).clamp_max(2**conditions.adc_bits - 1)
+    if float(codes.std(correction=0)) > _ALIKE:
+        changed = (math.sqrt(2 / math.pi) * off).expand_as(codes)  # the mean size of a normal error
+        lifted = torch.erfc((0.5 - codes) / (math.sqrt(2) * off)) / 2
+        changed = torch.where(codes < 0.5, torch.minimum(lifted, changed), changed)
+        least = 1 / pixels
+    else:
+        away = (codes % 1 - 0.5).abs().amin()
+        changed = torch.erfc(away / (math.sqrt(2) * off))
+        least = 1.0
+    shares = changed.clamp_max(1).expand_as(codes).mean((-2, -1))
+    if float(shares.mean()) * pixels < _SELDOM:
+        return error
+    seen = shares * pixels >= _SELDOM
+    shares = torch.where(seen, shares.clamp_min(_AT_ONCE * least), shares)
+    return math.hypot(error, float((shares * (step / sizes.flatten()).square()).mean().sqrt()))

@@ -4,17 +4,21 @@ A grid misplaces what its cells cut: edges of apertures. What that does depends 
 among the cells and on what of them the sensor sees, so that it is measured, turned masks included.
 """
 
+import math
 from dataclasses import replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.plan.bounds import grid_error
 from veilcam_optics.plan.cost import cost
+from veilcam_optics.propagation import AngularSpectrum
+from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.grid import cells_in_aperture, sample_pitch
 
 OVERSAMPLINGS = (1.0, 2.0, 4.0, 8.0)
 """Times the coarsest."""
@@ -22,6 +26,14 @@ OVERSAMPLINGS = (1.0, 2.0, 4.0, 8.0)
 _FINER = 2.0
 _LEFT = 0.62
 """Of a grid's error with cells half as wide, at worst: its 0.7th power; see ``grid_error``."""
+
+_GRID_ERROR, _GRID_ORDER, _GRID_SPREAD = 0.105, 0.7, 5.5
+"""The grid's error is about 0.105 / (samples across an aperture)^0.7: cells cut apertures.
+
+Light that they misplace stays in its pixel where pixels are wide; else it is wrong by 5.5 times
+as much as diffraction spreads it, in pixels. Measured for apertures of 6 to 60 um, 0.2 to 4 mm
+before the sensor, 2 to 40 samples across: within a factor of 2, but for less error at 2 to 4.
+"""
 
 _PIXELS, _MASKS = 6, 2
 _MOST_MS = 400.0
@@ -89,3 +101,32 @@ class GridErrors:
                     [operator.collect(scenes, operator.response(mask)) for mask in self._masks]
                 )
         return found
+
+
+def grid_error(model: Model, oversampling: float) -> float:
+    """Relative L2 of the grid path in axial light; 1 where it cannot work."""
+    camera, scene = actual_camera(model), model.scene
+    sensor, panel = camera.sensor, camera.panel
+    cell = sample_pitch(camera, oversampling)
+    image = scene.pixel_at_sensor(camera)
+    height, width = camera.lit_sides(scene)
+    mask = Grid.square(
+        math.ceil(camera.window.rows * panel.pitch_y / cell),
+        math.ceil(camera.window.columns * panel.pitch_x / cell),
+        cell,
+    )
+    target = Grid.square(math.ceil(height / cell), math.ceil(width / cell), cell)
+    propagator = AngularSpectrum(padding="reach")
+    if not all(
+        propagator.supports(mask, target, camera.distance, wavelength)
+        for wavelength in camera.wavelengths
+    ):
+        return 1.0
+    embedding = model.embedding
+    pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
+    error = _GRID_ERROR / cells_in_aperture(camera, oversampling) ** _GRID_ORDER
+    aperture = min(panel.aperture_y, panel.aperture_x)
+    spread = max(camera.wavelengths) * camera.distance / aperture
+    # Errors of cells average out over larger pixels, not over smaller ones.
+    widest = max(1.0, 2 * cell / (pixel + image), _GRID_SPREAD * spread / (pixel + image))
+    return float(min(1.0, error * widest))

@@ -1,7 +1,7 @@
 """Planning: from a tolerance to the cheapest computation, with the reasons."""
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -14,23 +14,19 @@ from veilcam_optics import effects
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import (
     IDEAL,
-    MOST_OFF_AXIS,
     Conditions,
-    half_field,
 )
 from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import require, require_count
-from veilcam_optics.plan.check import Check, check
+from veilcam_optics.plan.bounds import check_lit
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
-from veilcam_optics.plan.psf import psf
-from veilcam_optics.plan.search import MAX_NUMBERS, search, settle_free, together
+from veilcam_optics.plan.search import Candidate, search
+from veilcam_optics.simulation.check import Check, check
 from veilcam_optics.simulation.operator import LightOperator
-
-_TRIES, _CLOSER = 3, 0.9
-"""How often a setting is looked for whose errors together are within the tolerance."""
+from veilcam_optics.simulation.psf import psf
 
 _METHODS = {
     "transfer": "transfer operator (matrix from scene to embedding)",
@@ -52,6 +48,8 @@ class Plan:
         cost: predicted time and memory of a step.
         batch: scenes in a step.
         assessments: every effect, on or off, and why.
+        coarser: next setting that is cheaper and less accurate, if there is one.
+        finer: next setting that is dearer and more accurate, if there is one.
     """
 
     model: Model
@@ -62,6 +60,8 @@ class Plan:
     cost: Cost
     batch: int
     assessments: tuple[Assessment, ...]
+    coarser: Candidate | None = None
+    finer: Candidate | None = None
 
     @cached_property
     def operator(self) -> LightOperator:
@@ -158,36 +158,24 @@ def plan(
     """
     require(0 < tolerance < 1, "tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
-    if conditions.off_axis is None:
-        angle = min(half_field(scene), MOST_OFF_AXIS)
-        conditions = replace(conditions, off_axis=angle)
     asked = Model(camera, scene, embedding, conditions)
+    check_lit(asked)
     error_model = ErrorModel(asked, tolerance)
     complete = error_model.model
     errors = {effect.name: effect.error(error_model) for effect in present(complete)}
-    aim = tolerance
-    for _ in range(_TRIES):
-        model, made = settle_free(complete, errors, aim)
-        choice, close = search(
-            error_model, model, errors, aim, made=made, batch=batch, method=method
-        )
-        step, quadrature = error_model.quadrature(choice.model)
-        chosen = choice.model.with_sampling(step=step)
-        error = max(together([choice.error, quadrature]), error_model.joint(chosen))
-        error = error_model.read(error)
-        if not close or error <= tolerance:
-            break
-        # Errors of one sign add up to more: less of each.
-        aim = _CLOSER * tolerance / error * min(aim, choice.error)
+    choice = search(error_model, errors, tolerance, batch=batch, method=method)
+    chosen = choice.best.model
     return Plan(
         model=chosen,
         asked=asked,
         tolerance=tolerance,
-        error=error,
-        reached=error <= tolerance and choice.cost.numbers <= MAX_NUMBERS,
+        error=error_model.read(choice.best.error),
+        reached=choice.reached,
         cost=cost(chosen, batch),
         batch=batch,
         assessments=_assess(complete, chosen, errors, batch),
+        coarser=choice.coarser,
+        finer=choice.finer,
     )
 
 
@@ -198,7 +186,7 @@ def _assess(
     found = []
     for effect in effects.EFFECTS:
         if effect.name not in errors:
-            found.append(Assessment(effect.name, False, 0.0, 0.0, effect.absent))
+            found.append(Assessment(effect.name, False, 0.0, 0.0, effect.absent, present=False))
             continue
         used = effect.present(chosen) and effect.without(chosen) != chosen
         extra = cost(chosen, batch).step_ms - cost(effect.without(chosen), batch).step_ms
@@ -215,7 +203,7 @@ def _assess(
 
 
 def table(plan: Plan) -> Table:
-    """Every effect: on or off, error if ignored, cost, reason."""
+    """Every effect that is there: on or off, error if ignored, cost, reason."""
     shown = Table(
         Column("effect", no_wrap=True),
         Column("", no_wrap=True),
@@ -226,14 +214,15 @@ def table(plan: Plan) -> Table:
         pad_edge=False,
     )
     for found in plan.assessments:
-        shown.add_row(
-            found.name,
-            "on" if found.matters else "off",
-            f"{found.error:.1e}" if found.error else "-",
-            f"{found.cost_ms:.2f}" if found.cost_ms >= 0.005 else "-",
-            found.reason,
-            style="" if found.matters else "dim",
-        )
+        if found.present:
+            shown.add_row(
+                found.name,
+                "on" if found.matters else "off",
+                f"{found.error:.1e}",
+                f"{found.cost_ms:.2f}",
+                found.reason,
+                style="" if found.matters else "dim",
+            )
     return shown
 
 
@@ -253,7 +242,7 @@ def setting(plan: Plan) -> list[tuple[str, str]]:
     chosen.append(("wavelengths per channel", str(samples)))
     if model.conditions.depth_range:
         chosen.append(("depth layers", str(sampling.layers)))
-    if model.conditions.off_axis:
+    if model.sampling.oblique:
         chosen.append(("zones of the field", f"{sampling.zones} x {sampling.zones}"))
     verdict = "reached" if plan.reached else "NOT reached: this is the most accurate setting"
     return [
@@ -261,8 +250,17 @@ def setting(plan: Plan) -> list[tuple[str, str]]:
         ("number format", str(sampling.dtype).removeprefix("torch.")),
         ("tolerance", f"{plan.tolerance:.1e}, {verdict}"),
         ("predicted error", f"{plan.error:.1e} (relative L2 at the embedding)"),
-        ("predicted time", f"{plan.cost.step_ms:.2f} ms for a new mask and {plan.batch} scenes"),
+        ("predicted time", f"{_time(plan.cost)} for a new mask and {plan.batch} scenes"),
+        *(
+            (name, "none" if other is None else f"error {other.error:.1e}, {_time(other.cost)}")
+            for name, other in (("one step coarser", plan.coarser), ("one step finer", plan.finer))
+        ),
+        ("not there", ", ".join(a.name for a in plan.assessments if not a.present) or "nothing"),
     ]
+
+
+def _time(cost: Cost) -> str:
+    return f"{cost.step_ms:.2f} ms ({cost.build_ms / 1e3:.1f} s to make)"
 
 
 def explanation(plan: Plan, width: int = 118) -> str:
@@ -276,5 +274,7 @@ def explanation(plan: Plan, width: int = 118) -> str:
 def print_explanation(plan: Plan, console: Console) -> None:
     """Print the table and the setting."""
     console.print(table(plan))
-    for name, value in setting(plan):
-        console.print(f"{name:24} {value}", highlight=False)
+    rows = Table.grid(Column(no_wrap=True), Column(), padding=(0, 2, 0, 0))
+    for row in setting(plan):
+        rows.add_row(*row)
+    console.print(rows, highlight=False)

@@ -8,23 +8,26 @@ pixel fades, its embedding pixel has a share of each colour, and light is scatte
 For one entry the light is wanted on two boxes alone, and there the fields of all apertures are
 known: with ``K[r, s]`` the integral of ``kappa F_r conj(F_s)``, an entry is the sum over
 ``K_y[r, s] K_x[c, d] w[r, c] w[s, d]``, of near pairs and of far ones.
+
+Of a large window the middle stands for all: sub-pixels farther away are taken for closed.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Scene
+from veilcam_optics.camera.geometry import Scene, Window
 from veilcam_optics.effects.composition import beams, collected, fade, shown
 from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares, mean_shares
-from veilcam_optics.plan.boxes import Straightening, Values, integrals, within_reach
+from veilcam_optics.transfer.entries import Values, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.tables import Beam, make_axes
 
@@ -37,9 +40,8 @@ _MANY = 500
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
 
-
-Integrals = Callable[[Axis[Values], Values, float, int], Values]
-"""Of an axis, apertures, a wavelength and a reach: (offsets, apertures, apertures)."""
+_MOST_LINES = 48
+"""Rows, and columns, of the middle of a window that are looked at."""
 
 
 class Probe:
@@ -53,6 +55,7 @@ class Probe:
     """
 
     def __init__(self, model: Model, offsets: int = _OFFSETS, whole: Self | None = None) -> None:
+        lines, model = model.camera.mask_shape, cropped(model)
         rows, columns = model.camera.mask_shape
         count = min(16, max(2, math.ceil(_WEIGHTS / (rows * columns))))
         generator = torch.Generator().manual_seed(0)
@@ -63,8 +66,8 @@ class Probe:
         kept = (None, None) if whole is None else (whole.kept_y, whole.kept_x)
         self.kept_y: Tensor
         self.kept_x: Tensor
-        self.kept_y, self._together_y = _spread(model, 0, offsets, kept[0])
-        self.kept_x, self._together_x = _spread(model, 1, offsets, kept[1])
+        self.kept_y, self._together_y = _spread(model, lines[0], 0, offsets, kept[0])
+        self.kept_x, self._together_x = _spread(model, lines[1], 1, offsets, kept[1])
         self._whole = whole
         self._places = [
             np.arange(len(own)) if some is None else (own[:, None] == some).nonzero()[:, 1].numpy()
@@ -72,7 +75,7 @@ class Probe:
         ]
 
     def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis[Values], Axis[Values]]:
-        """Return the axes of ``model``, reduced to the kept offsets.
+        """Return the axes of ``model``, cropped, reduced to the kept offsets.
 
         Args:
             model: like the probe's.
@@ -90,6 +93,7 @@ class Probe:
     def _made_axes(
         self, model: Model, scene: Scene, parts: int
     ) -> tuple[Axis[Values], Axis[Values]]:
+        model = cropped(model)
         y, x = make_axes(
             model.camera,
             scene,
@@ -99,11 +103,15 @@ class Probe:
             imperfections=model.conditions.imperfections,
             like=np.empty(0),
         )
+        found = []
         for axis, kept in ((y, self.kept_y), (x, self.kept_x)):
-            offsets = torch.from_numpy(axis.offsets[kept.numpy()])
-            axis.offsets = _parted(offsets, float(axis.image), parts).numpy()
-            axis.image, axis.scale = axis.image / parts, axis.scale * parts
-        return y, x
+            some = axis.at(kept.numpy())
+            tangent = scene_pixel_tangent(model)
+            some.offsets = _parted(some.offsets, float(axis.image), parts)
+            some.tangents = _parted(some.tangents, tangent, parts)
+            some.image, some.scale = axis.image / parts, axis.scale * parts
+            found.append(some)
+        return found[0], found[1]
 
     def tangents(self, model: Model, parts: int = 1) -> tuple[Tensor, Tensor]:
         """Tangents of the angles to the axis of what kept offsets see, along y and x."""
@@ -111,7 +119,9 @@ class Probe:
         embedding = model.embedding
         y, x = y[self.kept_y // embedding.rows], x[self.kept_x // embedding.columns]
         side = scene_pixel_tangent(model)
-        return _parted(y, side, parts), _parted(x, side, parts)
+        return tuple(  # type: ignore[return-value]
+            torch.from_numpy(_parted(each.numpy(), side, parts)) for each in (y, x)
+        )
 
     def channels(self, model: Model) -> list[int]:
         """Channels that count in a gray measurement, brightest first; at least one."""
@@ -183,17 +193,6 @@ class Probe:
         apart = light.reshape(*light.shape[:-2], *shape)
         return collected(model, apart, (-3, -1)).reshape(light.shape)
 
-    def straightened(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
-        """Return the change of :meth:`transfer` where products are straight between nodes."""
-        total, of = self.dark(), Straightening(model.sampling.step)
-        for beam, scaled in self.lights(model, channels):
-            rows, down, across = self._pairs(model, beam, (1.0, 1.0))
-            _, changed_down, changed_across = self._pairs(model, beam, (1.0, 1.0), of=of)
-            weights, share = scaled[:, rows], self.share(model, beam.channel)
-            for along_y, along_x in ((changed_down, across), (down, changed_across)):
-                total += share * pair_sums(along_y, along_x, weights, weights)
-        return self.faded(model, total)
-
     def within(self, model: Model, rows: Sequence[int], columns: Sequence[int]) -> Tensor:
         """Return the transfer with pairs at most so many rows and so many columns apart.
 
@@ -227,6 +226,7 @@ class Probe:
     ) -> list[tuple[Beam, Tensor]]:
         """Each beam with the amplitudes that it passes, its share of the channel included."""
         used = self.channels(model) if channels is None else channels
+        model = cropped(model)
         weights, found = shown(model, self.masks), []
         for beam in beams(model):
             if beam.channel in used:
@@ -242,7 +242,6 @@ class Probe:
         beam: Beam,
         stretch: tuple[float, float],
         parts: int = 1,
-        of: Integrals = integrals,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
         axes = self.axes(model, beam, parts)
@@ -254,13 +253,13 @@ class Probe:
         ):
             wavelength = float(beam.wavelength) * stretch[index]
             key = (
-                *(of, index, axis.centres[0], axis.centres[-1], axis.width, axis.distance),
+                *(index, axis.centres[0], axis.centres[-1], axis.width, axis.distance),
                 *(axis.source_distance, axis.image, axis.pixel, some.tobytes(), wavelength),
-                *(model.approximation, parts),
+                *(model.approximation, model.scene, parts),
             )
             kept, values = self.integrated(key, index)
             if values is None or kept < far:
-                kept, values = far, of(axis, some, wavelength, far)
+                kept, values = far, integrals(axis, some, wavelength, far)
                 self._kept[key] = kept, values
             near = values if kept == far else values * within_reach(some, far)
             found.append(torch.from_numpy(near))
@@ -276,8 +275,33 @@ class Probe:
 
 
 def lit_rows(model: Model, channel: int) -> Values:
-    """Return the indices of the rows whose filters pass light of a channel."""
-    return np.flatnonzero(model.camera.row_amplitudes(channel))
+    """Return the indices of the rows, of a cropped window, whose filters pass a channel's light."""
+    return np.flatnonzero(cropped(model).camera.row_amplitudes(channel))
+
+
+@lru_cache(maxsize=64)
+def cropped(model: Model) -> Model:
+    """Return a model with the middle of a large window alone."""
+    window, built = model.camera.window, model.conditions.imperfections
+    lines = []
+    for count in model.camera.mask_shape:
+        # The middle stays where it is.
+        most = count if count <= _MOST_LINES else _MOST_LINES - (count - _MOST_LINES) % 2
+        lines.append(((count - most) // 2, most))
+    (top, rows), (left, columns) = lines
+    if not (top or left):
+        return model
+    middle = Window(rows, columns, window.first_row + top, window.first_column + left)
+    built = replace(
+        built,
+        dead_rows=tuple(row - top for row in built.dead_rows if 0 <= row - top < rows),
+        dead_columns=tuple(at - left for at in built.dead_columns if 0 <= at - left < columns),
+    )
+    return replace(
+        model,
+        camera=replace(model.camera, window=middle),
+        conditions=replace(model.conditions, imperfections=built),
+    )
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
@@ -318,24 +342,28 @@ def _near(of: Tensor, reach: int) -> Tensor:
     return torch.from_numpy(within_reach(of.numpy(), reach))
 
 
-def _parted(middles: Tensor, side: float, parts: int) -> Tensor:
+def _parted(middles: Values, side: float, parts: int) -> Values:
     """Middles of the parts of pixels, part by part."""
-    at = (torch.arange(parts, dtype=torch.float64) - (parts - 1) / 2) * side / parts
-    return (middles[:, None] + at).flatten()
+    at = (np.arange(parts) - (parts - 1) / 2) * side / parts
+    found: Values = (middles[:, None] + at).ravel()
+    return found
 
 
 def _traced(down: Tensor, spread: Tensor) -> Tensor:
     return torch.einsum("ors,mprs->mop", down, spread).real
 
 
-def _spread(model: Model, axis: int, most: int, among: Tensor | None) -> tuple[Tensor, int]:
+def _spread(
+    model: Model, lines: int, axis: int, most: int, among: Tensor | None
+) -> tuple[Tensor, int]:
     """Return indices (scene pixel slower) of some offsets, and the size of their groups.
 
     Of few embedding pixels all are kept, for some scene pixels; of more, as many offsets as are
     asked for, evenly spread by size.
 
     Args:
-        model: model whose offsets they are.
+        model: model whose offsets they are, cropped.
+        lines: rows or columns of the whole window.
         axis: 0 for y, 1 for x.
         most: number of offsets that are asked for.
         among: offsets to choose from; None for all.
@@ -349,9 +377,17 @@ def _spread(model: Model, axis: int, most: int, among: Tensor | None) -> tuple[T
         return (pixels[:, None] * embedding + torch.arange(embedding)).flatten(), embedding
     length = (model.camera.sensor.height, model.camera.sensor.width)[axis]
     image = model.scene.pixel_at_sensor(model.camera)
-    # From the middles of the first ones: what is the same for all does not matter.
-    offsets = pixels * image + among % embedding * (length / embedding)
-    kept = _some(among[offsets.argsort(stable=True)], most)
+    offsets = (pixels - (model.scene.shape[axis] - 1) / 2) * image
+    offsets = offsets + (among % embedding - (embedding - 1) / 2) * (length / embedding)
+    order = offsets.argsort(stable=True)
+    if model.camera.mask_shape[axis] != lines:
+        # Behind the middle of a large window, where its light is.
+        pitch = (model.camera.panel.pitch_y, model.camera.panel.pitch_x)[axis]
+        moved = model.conditions.imperfections
+        away = (offsets - (moved.shift_y, moved.shift_x)[axis]).abs()
+        shaded = away[order] <= max(pitch * model.camera.mask_shape[axis] / 2, float(away.min()))
+        order = order[shaded]
+    kept = _some(among[order], most)
     return kept, len(kept)
 
 

@@ -8,25 +8,33 @@ from itertools import product
 
 import torch
 
-from veilcam_optics import effects
 from veilcam_optics.effects import Effect, Model
 from veilcam_optics.effects.light import Depth, Diffraction, NonParaxial, OffAxis, Spectrum
 from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
+from veilcam_optics.plan.bounds import QUADRATURE, fringe_step
 from veilcam_optics.plan.cost import Cost, cost, pairs
 from veilcam_optics.plan.errors import ErrorModel, Interferences
 from veilcam_optics.plan.grids import OVERSAMPLINGS
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
+from veilcam_optics.transfer.tables import Reach
 
 MAX_NUMBERS = 1.5e8
 """Numbers that a plan may hold at once: 600 MB in float32."""
 
-SPARE = 0.1
-"""A free effect is on if ignoring it would take more than this share of the tolerance."""
-
-_ABOUT = 1.1
+_ABOUT = 1.25
 """Where the tolerance is out of reach, errors this close to the least are as good."""
+
+_NEAR, _SAME, _BUILD_MS = 1.05, 1.01, 2000.0
+"""Steps, over the cheapest, among which accuracy decides; steps that are taken for the same; and
+the time of making an operator that is not minded [ms]."""
+
+_BETTER = 0.95
+"""An error this much smaller is worth what is near in cost."""
+
+_FARTHEST = 10.0
+"""Settings whose error is so many times the tolerance are not looked at where better ones are."""
 
 _SAMPLES = (2, 3, 5)
 _ZONES = (1, 2, 3, 5, 7)
@@ -54,82 +62,108 @@ def together(errors: Iterable[float]) -> float:
     return math.sqrt(sum(error * error for error in errors))
 
 
-def settle_free(model: Model, errors: Mapping[str, float], tolerance: float) -> tuple[Model, float]:
-    """Switch off every free effect that hardly shows; return what is left, and the error made."""
-    ignored = []
-    for effect in effects.EFFECTS:
-        if effect.free and effect.name in errors and errors[effect.name] <= SPARE * tolerance:
-            model = effect.without(model)
-            ignored.append(errors[effect.name])
-    return model, together(ignored)
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A chosen setting, and its neighbours among the settings that no other beats.
+
+    Attributes:
+        best: the setting.
+        reached: True where its error is within the tolerance.
+        coarser: next setting that is cheaper and less accurate, if there is one.
+        finer: next setting that is dearer and more accurate, if there is one.
+    """
+
+    best: Candidate
+    reached: bool
+    coarser: Candidate | None
+    finer: Candidate | None
 
 
 def search(
     error_model: ErrorModel,
-    model: Model,
     errors: Mapping[str, float],
     tolerance: float,
     *,
-    made: float,
     batch: int,
     method: Method | None = None,
-) -> tuple[Candidate, bool]:
-    """Find the cheapest candidate within tolerance and memory, and say whether there is one.
+) -> Choice:
+    """Find the cheapest setting within tolerance and memory; if none is, the most accurate.
+
+    Of settings that cost about the same the most accurate is taken.
 
     Args:
         error_model: knows the errors of the sampling.
-        model: model with the free effects settled.
         errors: error of every effect that is there, if it were ignored.
         tolerance: relative L2.
-        made: error of the free effects that were switched off.
         batch: scenes in a step.
         method: the only one to choose from; None for all.
-
-    Returns:
-        The choice, and whether it reaches the tolerance; if none does, the most accurate.
     """
+    model = error_model.model
     field = _field(error_model, model, errors, tolerance)
-    settings: list[tuple[Model, float]] = []
     found: list[Candidate] = []
-
-    def look_at(kind: Iterable[tuple[Model, float]]) -> None:
-        more = [(setting, together([made, error])) for setting, error in kind]
-        settings.extend(more)
-        reaching = [(m, e) for m, e in more if error_model.read(e) <= tolerance]
-        found.extend(_fitting(reaching, batch, method))
-
     if method != "grid":
-        look_at(_matrices(error_model, model, errors, field, tolerance))
+        settings = list(_matrices(error_model, model, errors, field, tolerance))
+        found = _candidates(settings, batch, method, _FARTHEST * tolerance)
     if method in (None, "grid"):
         # Grids are judged by being used, which takes a while: only those that would be faster are.
-        below = min((candidate.cost.rank for candidate in found), default=math.inf)
-        look_at(_grids(error_model, model, field, batch, below))
-    if found:
-        return min(found, key=lambda c: (c.cost.rank, c.error)), True
-    # Nothing reaches it: the cheapest of those that fit and are about as accurate as any.
-    found = _fitting(settings, batch, method)
-    if found:
-        least = min(candidate.error for candidate in found)
-        found = [candidate for candidate in found if candidate.error <= _ABOUT * least]
-        return min(found, key=lambda c: c.cost.rank), False
-    return min(_candidates(settings, batch, method), key=lambda c: c.cost.numbers), False
+        reaching = [c.cost.rank for c in _fitting(found) if error_model.read(c.error) <= tolerance]
+        below = min(reaching, default=math.inf)
+        settings = list(_grids(error_model, model, field, batch, below))
+        found += _candidates(settings, batch, method, math.inf)
+    fitting = _fitting(found)
+    if not fitting:
+        return Choice(min(found, key=lambda c: c.cost.numbers), False, None, None)
+    reaching_ = [c for c in fitting if error_model.read(c.error) <= tolerance]
+    least = _ABOUT * min(c.error for c in fitting)
+    best = _best(reaching_ or [c for c in fitting if c.error <= least])
+    return Choice(best, bool(reaching_), _coarser(fitting, best), _finer(fitting, best))
 
 
-def _fitting(
-    settings: list[tuple[Model, float]], batch: int, method: Method | None
-) -> list[Candidate]:
-    return [c for c in _candidates(settings, batch, method) if c.cost.numbers <= MAX_NUMBERS]
+def _best(candidates: list[Candidate]) -> Candidate:
+    """Return the cheapest candidate, or one near it in cost that is more accurate."""
+    ordered = sorted(candidates, key=lambda c: (c.cost.rank, c.error))
+    best = ordered[0]
+    step, build = _NEAR * best.cost.step_ms, best.cost.build_ms + _BUILD_MS
+    for other in ordered:
+        if other.cost.step_ms > step or other.cost.build_ms > build:
+            continue
+        same = other.cost.step_ms <= _SAME * best.cost.step_ms and other.error < best.error
+        if same or other.error < _BETTER * best.error:
+            best = other
+    return best
+
+
+def _coarser(candidates: list[Candidate], best: Candidate) -> Candidate | None:
+    """Return the most accurate candidate that costs less, if it is less accurate."""
+    cheaper = [c for c in candidates if c.cost.step_ms < best.cost.step_ms / _NEAR]
+    return min(cheaper, key=lambda c: (c.error, c.cost.rank), default=None)
+
+
+def _finer(candidates: list[Candidate], best: Candidate) -> Candidate | None:
+    """Return the cheapest candidate that is more accurate."""
+    better = [c for c in candidates if c.error < _BETTER * best.error]
+    return min(better, key=lambda c: (c.cost.rank, c.error), default=None)
+
+
+def _fitting(candidates: list[Candidate]) -> list[Candidate]:
+    return [c for c in candidates if c.cost.numbers <= MAX_NUMBERS]
 
 
 def _candidates(
-    settings: list[tuple[Model, float]], batch: int, method: Method | None
-) -> Iterator[Candidate]:
+    settings: list[tuple[Model, float]], batch: int, method: Method | None, most: float
+) -> list[Candidate]:
+    """Candidates of settings, by every method; those with errors above ``most`` where none is."""
+    most = max(most, min((error for _, error in settings), default=0.0))
+    found = []
     for model, error in settings:
-        if method in (None, model.sampling.method):
-            yield Candidate(model, error, cost(model, batch))
-        if model.sampling.method == "transfer" and method != "transfer":
-            factors = replace(model, sampling=replace(model.sampling, method="factors"))
-            yield Candidate(factors, error, cost(factors, batch))
+        if error > most:
+            continue
+        methods: tuple[Method, ...] = ("transfer", "factors")
+        for one in (model.sampling.method,) if model.sampling.method == "grid" else methods:
+            if method in (None, one):
+                by_method = replace(model, sampling=replace(model.sampling, method=one))
+                found.append(Candidate(by_method, error, cost(by_method, batch)))
+    return found
 
 
 def _matrices(
@@ -150,8 +184,9 @@ def _matrices(
         field = [*field, [ignored, Option(_same, error_model.rotated(first_order=True))]]
     for base, leaked, interferences in filters:
         reaches = _reaches(base, interferences, errors, tolerance)
+        quadrature = QUADRATURE if base.sampling.diffraction else 0.0
         for chosen in product(reaches, *field, _formats(error_model, tolerance)):
-            yield _apply(base, together([leaked, paraxial]), chosen)
+            yield _apply(base, together([leaked, paraxial, quadrature]), chosen)
 
 
 def _grids(
@@ -187,15 +222,20 @@ def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, 
     return base, together(errors)
 
 
+def _with_reach(model: Model, reach: Reach) -> Model:
+    return model.with_sampling(reach=reach, step=fringe_step(model, reach))
+
+
 def _same(model: Model) -> Model:
     return model
 
 
 def _worth_it(options: list[Option], tolerance: float) -> list[Option]:
-    """Sort from coarse to fine, without options that are too coarse or needlessly fine."""
+    """Options from coarse to fine: those that will do, and one to either side."""
     enough = next((k for k, o in enumerate(options) if o.error <= 0.02 * tolerance), len(options))
-    options = options[: enough + 1]
-    return [o for o in options if o.error <= tolerance] or [min(options, key=lambda o: o.error)]
+    options = options[: enough + 2]
+    first = next((k for k, o in enumerate(options) if o.error <= tolerance), len(options) - 1)
+    return options[max(0, first - 1) :]
 
 
 def _reaches(
@@ -212,7 +252,8 @@ def _reaches(
     for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
         if error < least:
             least = error
-            options.append(Option(partial(Model.with_sampling, reach=reach), error))
+            change = partial(_with_reach, reach=reach)
+            options.append(Option(change, error))
     return _worth_it(options, tolerance)
 
 
@@ -229,9 +270,10 @@ def _field(
     ):
         if effect.name not in errors:
             continue
-        options = [Option(effect.without, errors[effect.name])]
+        # Fading takes no time: the field's angle is left out of no setting.
+        options = [] if name == "zones" else [Option(effect.without, errors[effect.name])]
         for count in counts:
-            if options[-1].error <= 0.02 * tolerance:
+            if options and options[-1].error <= 0.02 * tolerance:
                 break  # finer is needlessly fine
             if name == "zones" and count > max(model.scene.shape):
                 break

@@ -43,7 +43,8 @@ class LightOperator(nn.Module):
         super().__init__()
         self.model = model
         dtype = model.sampling.dtype
-        fade = composition.fade(model)
+        # The grid's light is that of the axis; operators of zones fade by themselves.
+        fade = composition.fade(model) if model.sampling.method == "grid" else None
         self.register_buffer("fade", None if fade is None else fade.to(dtype))
         self.register_buffer("shares", channel_shares(model).to(dtype).contiguous())
         self._parts = zones(model)
@@ -77,10 +78,7 @@ class LightOperator(nn.Module):
         Raises:
             OpticsError: the method forms no matrix, or the mask has another shape or holds NaN.
         """
-        transfer = self._transfer(weights)
-        if self.fade is not None:
-            transfer = self.fade.reshape(-1, 1) * transfer
-        return composition.collected(self.model, transfer, (1,))
+        return composition.collected(self.model, self._transfer(weights), (1,))
 
     def embed(
         self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
@@ -176,7 +174,7 @@ class LightOperator(nn.Module):
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values
 
     def _transfer(self, weights: Tensor) -> Tensor:
-        """Return the matrix of all zones, without fading and stray light."""
+        """Return the matrix of all zones, without stray light."""
         if not self.has_transfer:
             method = self.model.sampling.method
             raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')

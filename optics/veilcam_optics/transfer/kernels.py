@@ -5,16 +5,21 @@ other, a trapezoid in their offset. A kernel integrates products of aperture fie
 """
 
 import math
+from copy import copy
 from dataclasses import dataclass
-from typing import Generic
+from functools import cached_property
+from typing import Generic, Self
 
 from veilcam_optics.arrays import Array, Scalar, detached, namespace
 from veilcam_optics.errors import invalid
 from veilcam_optics.transfer.factored import aperture_fields, as_number
+from veilcam_optics.transfer.field_angle import MASK_POWER
 
 
 def double_integral(samples: Array, start: float, step: float, at: Array) -> Array:
-    """Second antiderivative of the linear interpolant of ``samples``, at the points ``at``.
+    """Second antiderivative of a function known at equal steps, at the points ``at``.
+
+    Its integrals are right to the third power of the step.
 
     Args:
         samples: (N, R) values at ``start + n step``.
@@ -26,6 +31,9 @@ def double_integral(samples: Array, start: float, step: float, at: Array) -> Arr
         (M, R), in units of samples x m^2; zero with zero slope at ``start``.
     """
     xp = namespace(samples)
+    # A straight line lies h^2 f'' / 12 above the mean of f between two nodes.
+    bend = (samples[2:] - 2 * samples[1:-1] + samples[:-2]) / 12
+    samples = xp.concat([samples[:1], samples[1:-1] - bend, samples[-1:]])
     trapezoids = (samples[1:] + samples[:-1]) * (step / 2)
     first = xp.cumulative_sum(trapezoids, axis=0, include_initial=True)
     cubic = first[:-1] * step + (2 * samples[:-1] + samples[1:]) * (step * step / 6)
@@ -104,12 +112,14 @@ class Approximation:
     Attributes:
         shadow: geometric shadows take the place of diffraction; nothing interferes.
         plane_wave: the light at the mask is parallel: a scene point at infinity.
-        point_measurement: an embedding value is read at its pixel's centre, not averaged over it.
+        point_binning: an embedding value is read at its pixel's centre, not averaged over it.
+        axial: light from every scene pixel is as bright as light along the axis.
     """
 
     shadow: bool = False
     plane_wave: bool = False
     point_binning: bool = False
+    axial: bool = False
 
 
 EXACT = Approximation()
@@ -134,12 +144,11 @@ class Axis(Generic[Array]):
         pitch: distance of sub-pixels [m].
         width: open width of a sub-pixel [m].
         shift: displacement of the mask from the optical axis [m].
+        centre: middle of the scene, from the optical axis [m].
+        other: mean square of the scene's tangents along the other axis.
         step: largest distance of integration nodes [m].
         approximation: terms that are left out.
         like: any array of the library that computes.
-
-    Raises:
-        OpticsError: nodes so many that the fields do not fit in memory.
     """
 
     def __init__(
@@ -155,6 +164,8 @@ class Axis(Generic[Array]):
         pitch: Scalar,
         width: float,
         shift: Scalar,
+        centre: float = 0.0,
+        other: float = 0.0,
         step: float,
         approximation: Approximation = EXACT,
         like: Array,
@@ -164,26 +175,17 @@ class Axis(Generic[Array]):
         self.image: Scalar = scene_pixel * distance / scene_distance
         # A scene point at s falls at -s d2/d1, so the offset to it is o + s d2/d1.
         embedding = (xp.arange(pixels, dtype=xp.float64) - (pixels - 1) / 2) * self.pixel
-        scene = xp.arange(scene_pixels, dtype=xp.float64) - (scene_pixels - 1) / 2
-        self.offsets: Array = xp.reshape(scene[:, None] * self.image + embedding, (-1,))
-        farthest = float(xp.max(xp.abs(detached(self.offsets))))
-        reach = farthest + (self.pixel + as_number(self.image)) / 2
-        # Nodes at whole multiples of the step stay put when the geometry moves a little, so that
-        # a finite difference sees the integral change and not its quadrature error.
-        half = 0 if approximation.shadow else math.floor(reach / step) + 2
-        if (2 * half + 1) * apertures > _MAX_FIELD_VALUES:
-            least = 2.1 * reach * apertures / _MAX_FIELD_VALUES
-            raise invalid(
-                "step",
-                step,
-                "m",
-                f"at least {least:.2g} m: finer, the fields over the {2 * reach:.2g} m that scene "
-                "and sensor span together do not fit in memory",
-            )
-        self.start, self.step = -half * step, step
-        self.nodes: Array = step * xp.arange(-half, half + 1, dtype=xp.float64)
+        scene = (xp.arange(scene_pixels, dtype=xp.float64) - (scene_pixels - 1) / 2)[:, None]
+        self.offsets: Array = xp.reshape(scene * self.image + embedding, (-1,))
+        points = (scene * scene_pixel + centre) / scene_distance
+        self.tangents: Array = xp.reshape(points + 0 * embedding, (-1,))
+        self._farthest = float(xp.max(xp.abs(detached(self.offsets))))
+        self._farthest += (self.pixel + as_number(self.image)) / 2
+        self.step = step
         index = xp.arange(apertures, dtype=xp.float64) - (apertures - 1) / 2
-        self.centres: Array = index * pitch + shift
+        # A scene moved by s is a mask moved by -s d2/(d1+d2): shadows fall where they would have.
+        self._moved: Scalar = centre * distance / (scene_distance + distance)
+        self.centres: Array = index * pitch + (shift - self._moved)
         self.width = width
         self.source_distance: Scalar = math.inf if approximation.plane_wave else scene_distance
         self.distance: Scalar = distance
@@ -191,6 +193,56 @@ class Axis(Generic[Array]):
         if approximation.point_binning:
             self.pixel *= 1e-3
         self.scale: Scalar = 1 / (self.pixel * scene_pixels * self.image)
+        self._scene_distance, self._square = scene_distance, 1 + other
+        self._axial = approximation.axial
+
+    def at(self, index: Array) -> Self:
+        """Return the same axis with some of its offsets alone."""
+        found = copy(self)
+        found.offsets, found.tangents = self.offsets[index], self.tangents[index]
+        return found
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Integration nodes [m].
+
+        They are whole multiples of the step. So they stay put when the geometry moves a little, and
+        a finite difference sees the integral change and not its quadrature error.
+
+        Raises:
+            OpticsError: nodes so many that the fields do not fit in memory.
+        """
+        half = 0 if self.shadow else math.floor(self._farthest / self.step) + 2
+        if (2 * half + 1) * self.centres.shape[0] > _MAX_FIELD_VALUES:
+            least = 2.1 * self._farthest * self.centres.shape[0] / _MAX_FIELD_VALUES
+            raise invalid(
+                "step",
+                self.step,
+                "m",
+                f"at least {least:.2g} m: finer, the fields over the {2 * self._farthest:.2g} m "
+                "that scene and sensor span together do not fit in memory",
+            )
+        nodes: Array = self.step * self._xp.arange(-half, half + 1, dtype=self._xp.float64)
+        return nodes
+
+    def brightness(self, of: Array) -> Array:
+        """Return amplitudes of the light at apertures, over that at the middle of the mask.
+
+        Equation (9) of docs/mathematics.md.
+
+        Args:
+            of: indices of apertures.
+
+        Returns:
+            (O, apertures).
+        """
+        tangents = self.tangents[:, None]
+        there = tangents - (self.centres[of] + self._moved) / self._scene_distance
+        if self._axial:
+            there = tangents + 0 * there
+        ratio = (self._square + tangents * tangents) / (self._square + there * there)
+        bright: Array = ratio**MASK_POWER
+        return bright
 
     def fields(self, wavelength: Scalar, of: Array | None = None) -> Array:
         """Fields of the apertures on the nodes, complex128 (nodes, apertures).
@@ -221,10 +273,11 @@ class Axis(Generic[Array]):
         products = fields[:, first] * xp.conj(fields[:, second])
         parts = xp.concat([xp.real(products), xp.imag(products)], axis=1)
         kernel = self.scale * box_kernel(
-            self.offsets, parts, self.start, self.step, pixel=self.pixel, image=self.image
+            self.offsets, parts, float(self.nodes[0]), self.step, pixel=self.pixel, image=self.image
         )
         pairs = first.shape[0]
-        complex_kernel: Array = kernel[:, :pairs] + 1j * kernel[:, pairs:]
+        bright = self.brightness(first) * self.brightness(second)
+        complex_kernel: Array = (kernel[:, :pairs] + 1j * kernel[:, pairs:]) * bright
         return complex_kernel
 
     def slope(self, fields: Array, first: Array, second: Array) -> Array:
@@ -257,7 +310,7 @@ class Axis(Generic[Array]):
         shadows = shadow_kernel(self.offsets, low, high, pixel=self.pixel, image=self.image)
         # Spreading out by the magnification dims the light along each axis by as much.
         shadows = shadows * (first == second) * (self.scale / magnification)
-        complex_shadows: Array = shadows + 0j
+        complex_shadows: Array = shadows * self.brightness(first) ** 2 + 0j
         return complex_shadows
 
     def _empty(self, nodes: int) -> Array:

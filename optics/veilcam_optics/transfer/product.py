@@ -134,6 +134,8 @@ class Transfer(Generic[Array]):
     embedding: Embedding
     measurements: tuple[Measurement[Array], ...] = field(repr=False)
     """One that is gray, or one each for R, G and B."""
+    fade: Array = field(repr=False)
+    """Share of the light that each scene pixel keeps over the field, (rows, columns)."""
 
     @property
     def colour(self) -> bool:
@@ -214,6 +216,7 @@ class Transfer(Generic[Array]):
         """
         self._check_scenes(scenes)
         check_weights(weights, self.camera)
+        scenes = scenes * self.fade
         values = [
             measurement.embed(
                 scenes[:, channel] if self.colour else scenes, weights, self.embedding.shape
@@ -227,7 +230,7 @@ class Transfer(Generic[Array]):
 
     def arrays(self) -> dict[str, Array]:
         """All tables by name: what a file holds, or a module of torch as its buffers."""
-        named: dict[str, Array] = {}
+        named: dict[str, Array] = {"fade": self.fade}
         for channel, measurement in enumerate(self.measurements):
             named[f"rows_{channel}"] = measurement.rows
             for index, stack in enumerate(measurement.stacks):
@@ -251,7 +254,7 @@ class Transfer(Generic[Array]):
                 )
                 stacks.append(Stack.of(first, second, columns, camera.mask_shape))
             measurements.append(Measurement(tuple(stacks), arrays[f"rows_{channel}"]))
-        return cls(camera, scene, embedding, tuple(measurements))
+        return cls(camera, scene, embedding, tuple(measurements), arrays["fade"])
 
     def _one(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
         """Transfer (scene pixels, embedding pixels) of one mask."""
@@ -262,6 +265,7 @@ class Transfer(Generic[Array]):
         matrix: Array = xp.reshape(
             xp.permute_dims(apart, (0, 2, 1, 3)), (region.rows * region.columns, rows * columns)
         )
+        matrix *= self._fade(region)
         return matrix
 
     def _several(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
@@ -283,7 +287,8 @@ class Transfer(Generic[Array]):
             together = joined(itertools.chain([first], parts), masks)
         # Laid out in the order of pixels by what joins them.
         matrices: Array = xp.reshape(together, (masks, pixels, self.embedding.size))
-        return matrices
+        faded: Array = matrices * self._fade(region)
+        return faded
 
     def _apart(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
         """Transfers (masks, scene rows, columns, embedding rows, columns), as they come."""
@@ -293,6 +298,13 @@ class Transfer(Generic[Array]):
         shape = (region.rows, rows, weights.shape[0], region.columns, columns)
         apart: Array = xp.permute_dims(xp.reshape(transfer, shape), (2, 0, 3, 1, 4))
         return apart
+
+    def _fade(self, region: Region) -> Array:
+        """Shares of the light that the scene pixels of a region keep, (scene pixels, 1)."""
+        rows = slice(region.top, region.top + region.rows)
+        columns = slice(region.left, region.left + region.columns)
+        fade: Array = namespace(self.fade).reshape(self.fade[rows, columns], (-1, 1))
+        return fade
 
     def _offsets(self, region: Region) -> tuple[slice, slice]:
         """Offsets along y and x of a region: as its pixels are in order, they lie side by side."""

@@ -19,10 +19,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from veilcam_optics.arrays import Array, Scalar, is_torch_array, namespace
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.errors import require, require_count, require_positive
+from veilcam_optics.transfer.field_angle import fading, scene_tangents
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
 from veilcam_optics.transfer.pairs import Group, dark, stack_groups
 from veilcam_optics.transfer.product import Measurement, Transfer
@@ -168,7 +171,9 @@ def make_transfer(
                 groups.append(dark(*axes[beams[0].scene_distance]))
             measurements.append(stack_groups(groups, camera.mask_shape, like.dtype))
             groups = []
-    return Transfer(camera, scene, embedding, tuple(measurements))
+    shade = np.ones(scene.shape) if approximation.axial else fading(scene, centre)
+    fade = namespace(like).asarray(shade, dtype=like.dtype)
+    return Transfer(camera, scene, embedding, tuple(measurements), fade)
 
 
 def make_axes(
@@ -176,7 +181,7 @@ def make_axes(
     scene: Scene,
     embedding: Embedding,
     *,
-    step: float,
+    step: float = 1.55e-6,
     variables: Variables = NO_VARIABLES,
     approximation: Approximation = EXACT,
     centre: tuple[float, float] = (0.0, 0.0),
@@ -190,8 +195,7 @@ def make_axes(
     distance = actual if variables.distance is None else variables.distance
     shift_y: Scalar = imperfections.shift_y if variables.shift_y is None else variables.shift_y
     shift_x: Scalar = imperfections.shift_x if variables.shift_x is None else variables.shift_x
-    # A scene moved by s is a mask moved by -s d2/(d1+d2): shadows fall where they would have.
-    share = distance / (scene.distance + distance)
+    other_x, other_y = (float(np.mean(at**2)) for at in scene_tangents(scene, centre))
     pitch_y: Scalar = camera.panel.pitch_y if variables.pitch_y is None else variables.pitch_y
     pitch_x: Scalar = camera.panel.pitch_x if variables.pitch_x is None else variables.pitch_x
     y: Axis[Array] = Axis(
@@ -204,7 +208,9 @@ def make_axes(
         apertures=camera.window.rows,
         pitch=pitch_y,
         width=camera.panel.aperture_y,
-        shift=shift_y - centre[0] * share,
+        shift=shift_y,
+        centre=centre[0],
+        other=other_y,
         step=step,
         approximation=approximation,
         like=like,
@@ -219,7 +225,9 @@ def make_axes(
         apertures=camera.window.columns,
         pitch=pitch_x,
         width=camera.panel.aperture_x,
-        shift=shift_x - centre[1] * share,
+        shift=shift_x,
+        centre=centre[1],
+        other=other_x,
         step=step,
         approximation=approximation,
         like=like,

@@ -7,7 +7,8 @@ finest fringe. Nothing of the plan's kernels, reach, zones or samples is used.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,9 @@ from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
 from veilcam_optics.errors import OpticsError, require, require_count
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.factored import aperture_fields
-from veilcam_optics.transfer.tables import Beam
+from veilcam_optics.transfer.entries import BoxFields, node_count
+from veilcam_optics.transfer.kernels import Axis
+from veilcam_optics.transfer.tables import make_axes
 
 CONFIDENCE = 0.9
 """Of the interval."""
@@ -37,9 +39,6 @@ _WORK = 1e7
 
 _FEWEST = 8
 """Entries below which a spread says nothing."""
-
-_NODES, _PERIODS = 48, 22.0
-"""Nodes of a panel, and fringes in it at most: n nodes integrate 2 n / pi fringes and few less."""
 
 _WAVELENGTHS, _LAYERS = 7, 7
 """Samples of a channel's spectrum and of the scene's depth: more than any plan's five."""
@@ -167,103 +166,65 @@ class FullField:
         sampled = model.with_sampling(wavelengths=_WAVELENGTHS, layers=_LAYERS)
         self.model, self.camera = model, actual_camera(model)
         self.beams = [b for b in beams(sampled) if bool(channel_shares(model)[b.channel].any())]
-        self.weights = shown(model, weights.detach().double())
+        self.weights = shown(model, weights.detach().double()).numpy()
         self.fade, self.shares = fade(model), channel_shares(model)
         self.tangents = tangents(model)
-        self.amplitudes = [
-            torch.tensor(self.camera.row_amplitudes(channel), dtype=torch.float64)
-            for channel in range(3)
-        ]
-        nodes, shares = np.polynomial.legendre.leggauss(_NODES)
-        self._nodes, self._shares = torch.from_numpy(nodes), torch.from_numpy(shares)
+        self._axes = {
+            distance: make_axes(
+                model.camera,
+                model.scene if distance is None else replace(model.scene, distance=distance),
+                model.embedding,
+                imperfections=model.conditions.imperfections,
+                approximation=replace(model.approximation, shadow=False),
+                like=np.empty(0),
+            )
+            for distance in {beam.scene_distance for beam in self.beams}
+        }
 
     @property
     def values(self) -> float:
         """Field values of one entry."""
-        panel, sensor, embedding = self.camera.panel, self.camera.sensor, self.model.embedding
         total = 0.0
         for beam in self.beams:
-            image = self._image(beam)
-            open_rows = float(self.amplitudes[beam.channel].count_nonzero())
-            for apertures, pitch, box in (
-                (open_rows, panel.pitch_y, sensor.height / embedding.rows),
-                (self.camera.window.columns, panel.pitch_x, sensor.width / embedding.columns),
+            rows = float(np.count_nonzero(self.camera.row_amplitudes(beam.channel)))
+            for axis, apertures in zip(
+                self._axes[beam.scene_distance], (rows, self.camera.window.columns), strict=True
             ):
-                lit = self.camera.window.rows if pitch is panel.pitch_y else apertures
-                fringes = (box + image) * lit * pitch / self._period(beam)
-                total += apertures * _NODES * (3 + fringes / _PERIODS)
+                extent = float(np.ptp(axis.centres)) + float(axis.width)
+                fringe = float(beam.wavelength) * self.camera.distance / extent
+                total += apertures * node_count(axis.pixel + float(axis.image), fringe)
         return total
 
     def entry(self, point: int, pixel: int) -> float:
         """Light from scene pixel ``point`` in embedding pixel ``pixel``, both counted by rows."""
         row, column = divmod(point, self.model.scene.columns)
         down, across = divmod(pixel, self.model.embedding.columns)
+        rows, columns = self.model.embedding.shape
         along_y, along_x = (
             float(factor) for factor in stretch(self.tangents[0][row], self.tangents[1][column])
         )
         total = 0.0
         for beam in self.beams:
-            amplitudes = self.amplitudes[beam.channel]
-            passed = amplitudes.nonzero().flatten()
+            amplitudes = np.array(self.camera.row_amplitudes(beam.channel))
+            passed = np.flatnonzero(amplitudes)
             if not len(passed):
                 continue
-            y = self._products(beam, 0, row, down, along_y)[passed][:, passed]
-            x = self._products(beam, 1, column, across, along_x)
-            mask = (amplitudes[passed, None] * self.weights[passed]).to(y.dtype)
+            axis_y, axis_x = self._axes[beam.scene_distance]
+            wavelength = float(beam.wavelength)
+            every = np.arange(self.camera.window.columns)
+            y = _entry(axis_y, row * rows + down, passed, wavelength * along_y)
+            x = _entry(axis_x, column * columns + across, every, wavelength * along_x)
+            mask = amplitudes[passed, None] * self.weights[passed]
             # sum over r, s, c, d of y[r, s] w[r, c] w[s, d] x[c, d]
             light = float(((mask.T @ y @ mask) * x).sum().real)
             total += beam.share * float(self.shares[beam.channel, down, across]) * light
         return total if self.fade is None else total * float(self.fade[row, column])
 
-    def _products(self, beam: Beam, axis: int, point: int, pixel: int, stretched: float) -> Tensor:
-        """Means of products of aperture fields over one box, complex128 (apertures, apertures)."""
-        camera, scene, embedding = self.camera, self.model.scene, self.model.embedding
-        built = self.model.conditions.imperfections
-        panel, sensor = camera.panel, camera.sensor
-        centres, width, shift = (
-            (camera.row_centres, panel.aperture_y, built.shift_y),
-            (camera.column_centres, panel.aperture_x, built.shift_x),
-        )[axis]
-        side = (sensor.height, sensor.width)[axis] / embedding.shape[axis]
-        image = self._image(beam)
-        middle = (pixel - (embedding.shape[axis] - 1) / 2) * side
-        # A scene point at s falls at -s d2/d1.
-        middle += (point - (scene.shape[axis] - 1) / 2) * image
-        wavelength = float(beam.wavelength) * stretched
-        extent = centres[-1] - centres[0] + width
-        fringe = wavelength * camera.distance / extent
-        at, shares = self._quadrature(side, image, fringe)
-        fields = aperture_fields(
-            middle + at,
-            torch.tensor(centres, dtype=torch.float64) + shift,
-            width,
-            wavelength=wavelength,
-            source_distance=self._distance(beam),
-            distance=camera.distance,
-        )
-        return (fields * shares[:, None]).T @ fields.conj() / scene.shape[axis]
 
-    def _quadrature(self, side: float, image: float, fringe: float) -> tuple[Tensor, Tensor]:
-        """Nodes around a box's middle [m], and their shares: the trapezoid of equation (4)."""
-        outer, inner = (side + image) / 2, abs(side - image) / 2
-        edges = [-outer]
-        for low, high in ((-outer, -inner), (-inner, inner), (inner, outer)):
-            panels = max(1, math.ceil((high - low) / fringe / _PERIODS))
-            edges += [low + (high - low) * (k + 1) / panels for k in range(panels)]
-        ends = torch.tensor(edges, dtype=torch.float64)
-        half = ends.diff()[:, None] / 2
-        at = (ends[:-1, None] + half * (1 + self._nodes)).flatten()
-        height = ((outer - at.abs()) / (outer - inner)).clamp(0, 1) / max(side, image)
-        return at, (half * self._shares).flatten() * height
-
-    def _image(self, beam: Beam) -> float:
-        return self.model.scene.pixel * self.camera.distance / self._distance(beam)
-
-    def _distance(self, beam: Beam) -> float:
-        return self.model.scene.distance if beam.scene_distance is None else beam.scene_distance
-
-    def _period(self, beam: Beam) -> float:
-        return float(beam.wavelength) * self.camera.distance
+def _entry(axis: Axis[Any], offset: int, of: npt.NDArray[Any], wavelength: float) -> Any:
+    """Integrals of products of all aperture fields in the box of one offset, (of, of)."""
+    boxes = BoxFields(axis.at(np.array([offset])), of, wavelength, len(axis.centres) - 1)
+    return boxes.integrated(boxes.fields, boxes.fields)[0]
 
 
 def _rows(
