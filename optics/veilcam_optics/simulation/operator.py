@@ -23,6 +23,7 @@ from veilcam_optics.transfer.grid import (
     sample_pitch,
 )
 from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Reach
 
 Response = tuple[Tensor, ...]
@@ -34,14 +35,18 @@ class LightOperator(nn.Module):
 
     ``forward`` gives the transfer matrix where the model's method forms one. All results are
     differentiable in scenes and weights.
+
+    Args:
+        model: model that is computed.
+        colour: True keeps the three channels of the transfer matrix apart.
     """
 
     fade: Tensor | None
     shares: Tensor
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, *, colour: bool = False) -> None:
         super().__init__()
-        self.model = model
+        self.model, self.colour = model, colour
         dtype = model.sampling.dtype
         # The grid's light is that of the axis; operators of zones fade by themselves.
         fade = composition.fade(model) if model.sampling.method == "grid" else None
@@ -53,7 +58,10 @@ class LightOperator(nn.Module):
         if model.sampling.method == "grid":
             self._grids = list(_grids(model))
         else:
-            self._zones = [[_zone(model, zone) for zone in row] for row in self._parts]
+            apart = colour or model.conditions.bayer
+            self._zones = [
+                [_zone(model, zone, colour=apart) for zone in row] for row in self._parts
+            ]
         self.zones = nn.ModuleList([zone for row in self._zones for zone in row])
 
     @property
@@ -66,19 +74,21 @@ class LightOperator(nn.Module):
         """Type of every result."""
         return self.model.sampling.dtype
 
-    def forward(self, weights: Tensor) -> Tensor:
+    def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
         """Return the transfer matrix of a mask, everything linear included.
 
         Args:
             weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            region: part of the scene that is asked for; None for all of it.
 
         Returns:
-            (scene pixels, embedding pixels).
+            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour.
 
         Raises:
-            OpticsError: the method forms no matrix, or the mask has another shape or holds NaN.
+            OpticsError: the method forms no matrix, the mask has another shape or holds NaN, or the
+                region is not wholly in the scene.
         """
-        return composition.collected(self.model, self._transfer(weights), (1,))
+        return composition.collected(self.model, self._transfer(weights, region), (-1,))
 
     def embed(
         self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
@@ -173,29 +183,44 @@ class LightOperator(nn.Module):
     def _gray(self, values: Tensor) -> Tensor:
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values
 
-    def _transfer(self, weights: Tensor) -> Tensor:
-        """Return the matrix of all zones, without stray light."""
+    def _transfer(self, weights: Tensor, region: Region | None = None) -> Tensor:
+        """Return the matrix of all zones, or of a region's part of them, without stray light."""
         if not self.has_transfer:
             method = self.model.sampling.method
             raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
         check_weights(weights, self.model.camera)
         shown = composition.shown(self.model, weights.to(self.model.sampling.dtype))
+        region = region or Region(0, 0, *self.model.scene.shape)
+        region.check(self.model.scene)
         rows = []
         for row, operators in zip(self._parts, self._zones, strict=True):
             parts = [
-                self._gray_transfer(zone(shown)).reshape(
-                    part.rows.stop - part.rows.start, part.columns.stop - part.columns.start, -1
+                self._by_pixel(zone(shown, part), part)
+                for zone, part in zip(
+                    operators, (_common(zone, region) for zone in row), strict=True
                 )
-                for part, zone in zip(row, operators, strict=True)
+                if part is not None
             ]
-            rows.append(parts[0] if len(parts) == 1 else torch.cat(parts, dim=1))
-        transfer = rows[0] if len(rows) == 1 else torch.cat(rows)
-        return transfer.flatten(0, 1)
+            if parts:
+                rows.append(parts[0] if len(parts) == 1 else torch.cat(parts, dim=-2))
+        transfer = rows[0] if len(rows) == 1 else torch.cat(rows, dim=-3)
+        return transfer.flatten(-3, -2)
 
-    def _gray_transfer(self, transfer: Tensor) -> Tensor:
-        if not self.model.conditions.bayer:
-            return transfer
-        return torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
+    def _by_pixel(self, transfer: Tensor, part: Region) -> Tensor:
+        """Transfer of a part, (..., rows, columns, embedding pixels); gray behind a Bayer filter."""
+        if self.model.conditions.bayer:
+            transfer = torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
+        return transfer.reshape(*transfer.shape[:-2], part.rows, part.columns, -1)
+
+
+def _common(zone: Zone, region: Region) -> Region | None:
+    """Return the part of a region that is in a zone, counted from the zone's corner."""
+    top, left = max(zone.rows.start, region.top), max(zone.columns.start, region.left)
+    rows = min(zone.rows.stop, region.top + region.rows) - top
+    columns = min(zone.columns.stop, region.left + region.columns) - left
+    if rows <= 0 or columns <= 0:
+        return None
+    return Region(top - zone.rows.start, left - zone.columns.start, rows, columns)
 
 
 def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
@@ -203,7 +228,7 @@ def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
     return scenes[:, None].expand(-1, len(CHANNELS), -1, -1) if coloured else scenes
 
 
-def _zone(model: Model, zone: Zone) -> TransferOperator:
+def _zone(model: Model, zone: Zone, *, colour: bool) -> TransferOperator:
     """Return the operator of one zone: that of a smaller scene, off the axis."""
     scene = model.scene
     part = replace(
@@ -224,7 +249,7 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         # Shadows do not interfere: their kernels would be zeros.
         reach=model.sampling.reach if model.sampling.diffraction else Reach(0, 0),
         step=model.sampling.step,
-        colour=model.conditions.bayer,
+        colour=colour,
         dtype=model.sampling.dtype,
         centre=(centre_y, centre_x),
         beams=[replace(beam, share=beam.share * area) for beam in composition.beams(model, zone)],
