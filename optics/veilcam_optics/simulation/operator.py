@@ -207,7 +207,7 @@ class LightOperator(nn.Module):
         return transfer.flatten(-3, -2)
 
     def _by_pixel(self, transfer: Tensor, part: Region) -> Tensor:
-        """Transfer of a part, (..., rows, columns, embedding pixels); gray behind a Bayer filter."""
+        """Return the transfer of a part, (..., rows, columns, embedding pixels)."""
         if self.model.conditions.bayer:
             transfer = torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
         return transfer.reshape(*transfer.shape[:-2], part.rows, part.columns, -1)
