@@ -9,12 +9,12 @@ from torch import Tensor
 from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
 from benchmarks.accuracy.geometric import GeometricShadow
 from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
+from benchmarks.accuracy.reference import reference_psf, sampled_psf
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.transfer.grid import GridLight, mask_grid, sample_pitch
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_psf, sampled_psf
 from veilcam_optics.transfer.tables import Reach
 
 

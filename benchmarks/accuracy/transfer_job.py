@@ -10,17 +10,17 @@ from torch import Tensor
 
 from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
 from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
+from benchmarks.accuracy.reference import (
+    TransferBinning,
+    reference_transfer,
+    sampled_psf,
+)
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.transfer.grid import GridLight, sample_pitch
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import (
-    TransferBinning,
-    reference_transfer,
-    sampled_psf,
-)
 from veilcam_optics.transfer.tables import Reach
 
 PLAN = "plan"

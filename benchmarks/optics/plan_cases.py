@@ -13,13 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
+from benchmarks.accuracy.reference import reference_transfer
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, half_field
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.tables import Reach
 
 EMBEDDINGS = ((1, 1), (3, 4), (6, 8), (12, 16), (13, 17), (24, 32), (27, 36), (48, 64))

@@ -40,13 +40,13 @@ from torch.nn.functional import cross_entropy
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.accuracy.measure import example_mask, relative_error
+from benchmarks.accuracy.reference import reference_transfer
 from benchmarks.peers.waveprop_peer import WavepropCamera
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.data import open_source
 
 SNR_DB = 40.0

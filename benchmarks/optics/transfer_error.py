@@ -10,11 +10,11 @@ from typing import Annotated
 import torch
 import typer
 from benchmarks.accuracy.measure import example_mask, relative_error
+from benchmarks.accuracy.reference import reference_transfer
 from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_transfer
 
 
 def main(

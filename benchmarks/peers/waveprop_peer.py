@@ -22,13 +22,13 @@ import torch
 from benchmarks.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
 from benchmarks.accuracy.measure import Prepared, Setting, relative_error
 from benchmarks.accuracy.psf_job import PsfJob
+from benchmarks.accuracy.reference import reference_psf, reference_transfer
 from benchmarks.accuracy.transfer_job import TransferJob
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.propagation.sampling import Grid, coverage
-from veilcam_optics.transfer.reference import reference_psf, reference_transfer
 
 NAME = "waveprop"
 SAMPLES = (358, 468)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_transfer
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -16,7 +17,6 @@ from veilcam_optics.plan import Plan, plan
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_transfer
 
 from .contracts import relative
 from .setting import Setting

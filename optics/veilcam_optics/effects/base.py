@@ -107,10 +107,6 @@ class Effect:
         """Return the light of each channel with the effect."""
         return beams
 
-    def fade(self, model: Model) -> Tensor | None:  # noqa: ARG002 - part of the interface
-        """Share of the light that each scene pixel keeps, float64 (rows, columns); None: all."""
-        return None
-
     def collected(
         self,
         values: Tensor,

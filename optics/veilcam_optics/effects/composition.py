@@ -46,16 +46,6 @@ def shown(model: Model, weights: Tensor) -> Tensor:
     return weights
 
 
-def fade(model: Model) -> Tensor | None:
-    """Share of the light that each scene pixel keeps, float64 (rows, columns); None: all."""
-    total = None
-    for effect in present(model):
-        own = effect.fade(model)
-        if own is not None:
-            total = own if total is None else total * own
-    return total
-
-
 def collected(model: Model, values: Tensor, axes: tuple[int, ...]) -> Tensor:
     """Return the light on the sensor; embedding pixels run along ``axes`` of ``values``."""
     for effect in present(model):

@@ -30,6 +30,13 @@ def scene_pixel_tangent(model: Model) -> float:
     return model.scene.pixel / model.scene.distance
 
 
+def fade(model: Model) -> Tensor:
+    """Share of the light that each scene pixel keeps over the field, float64 (rows, columns)."""
+    if not model.sampling.oblique:
+        return torch.ones(model.scene.shape, dtype=torch.float64)
+    return torch.from_numpy(fading(model.scene))
+
+
 def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x``: equation (8).
 
@@ -285,10 +292,6 @@ class OffAxis(Effect):
         angle = math.atan(model.scene.height / 2 / model.scene.distance)
         fade = 100 * (1 - math.cos(angle) ** 4)
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
-
-    def fade(self, model: Model) -> Tensor:
-        """Mean of cos^4 over a pixel."""
-        return torch.from_numpy(fading(model.scene))
 
 
 class StrayLight(Imperfection):

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.camera.imperfections import Conditions
-from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
+from veilcam_optics.effects.light import fade, scene_pixel_tangent, stretch, tangents, zones
 from veilcam_optics.effects.mask import DeadLines, MaskShift
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import BlackLevel, converter_range
@@ -233,16 +233,16 @@ class ErrorModel:
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
-        fade = OffAxis().fade(self.model)
-        errors = torch.zeros_like(fade)
+        kept = fade(self.model)
+        errors = torch.zeros_like(kept)
         for actual, taken, slope in zip(
             self._stretches, _taken(self.model, count), self._slopes, strict=True
         ):
             errors = errors + slope**2 * (actual - taken.log()).square().mean(0)
         errors = errors + brightness_errors(self.model, count) + self._uneven**2
         if count is None:
-            errors = errors + (1 / fade.clamp_min(1e-12) - 1).square()
-        return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
+            errors = errors + (1 / kept.clamp_min(1e-12) - 1).square()
+        return min(1.0, float(((errors * kept.square()).mean() / kept.square().mean()).sqrt()))
 
     @cached_property
     def _uneven(self) -> float:

@@ -23,8 +23,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene, Window
-from veilcam_optics.effects.composition import beams, collected, fade, shown
-from veilcam_optics.effects.light import scene_pixel_tangent, tangents
+from veilcam_optics.effects.composition import beams, collected, shown
+from veilcam_optics.effects.light import fade, scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares, mean_shares
 from veilcam_optics.transfer.entries import Values, integrals, within_reach
@@ -176,11 +176,11 @@ class Probe:
 
     def faded(self, model: Model, light: Tensor) -> Tensor:
         """Return the light at the kept offsets after fading, (..., offsets y, offsets x)."""
-        scattered, kept = self.scattered(model, light), fade(model)
-        if kept is None:
-            return scattered
         rows, columns = model.embedding.shape
-        return scattered * kept[self.kept_y // rows][:, self.kept_x // columns]
+        return (
+            self.scattered(model, light)
+            * fade(model)[self.kept_y // rows][:, self.kept_x // columns]
+        )
 
     def scattered(self, model: Model, light: Tensor) -> Tensor:
         """Light at the kept offsets, (..., offsets y, offsets x), after its way to the sensor.

@@ -17,8 +17,8 @@ from scipy.special import stdtrit
 from torch import Tensor
 
 from veilcam_optics.camera.inputs import check_weights
-from veilcam_optics.effects.composition import beams, fade, shown
-from veilcam_optics.effects.light import stretch, tangents
+from veilcam_optics.effects.composition import beams, shown
+from veilcam_optics.effects.light import fade, stretch, tangents
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
@@ -218,7 +218,7 @@ class FullField:
             # sum over r, s, c, d of y[r, s] w[r, c] w[s, d] x[c, d]
             light = float(((mask.T @ y @ mask) * x).sum().real)
             total += beam.share * float(self.shares[beam.channel, down, across]) * light
-        return total if self.fade is None else total * float(self.fade[row, column])
+        return total * float(self.fade[row, column])
 
 
 def _entry(axis: Axis[Any], offset: int, of: npt.NDArray[Any], wavelength: float) -> Any:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.effects import composition
-from veilcam_optics.effects.light import Zone, zones
+from veilcam_optics.effects.light import Zone, fade, zones
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
@@ -41,16 +41,14 @@ class LightOperator(nn.Module):
         colour: True keeps the three channels of the transfer matrix apart.
     """
 
-    fade: Tensor | None
+    fade: Tensor
     shares: Tensor
 
     def __init__(self, model: Model, *, colour: bool = False) -> None:
         super().__init__()
         self.model, self.colour = model, colour
         dtype = model.sampling.dtype
-        # The grid's light is that of the axis; operators of zones fade by themselves.
-        fade = composition.fade(model) if model.sampling.method == "grid" else None
-        self.register_buffer("fade", None if fade is None else fade.to(dtype))
+        self.register_buffer("fade", fade(model).to(dtype))
         self.register_buffer("shares", channel_shares(model).to(dtype).contiguous())
         self._parts = zones(model)
         self._zones: list[list[TransferOperator]] = []
@@ -148,8 +146,6 @@ class LightOperator(nn.Module):
         """
         check_scenes(scenes, "batch", *self.model.scene.shape)
         scenes = scenes.to(self.dtype)
-        if self.fade is not None:
-            scenes = scenes * self.fade
         return composition.collected(self.model, self._light(scenes, response), (1, 2))
 
     def _light(self, scenes: Tensor, response: Response) -> Tensor:
@@ -167,7 +163,7 @@ class LightOperator(nn.Module):
         for (share, part, light), psf in zip(self._grids, response, strict=False):
             # Only one zone's pixels are lit, but they keep their places.
             lit = torch.zeros_like(scenes)
-            lit[:, part.rows, part.columns] = scenes[:, part.rows, part.columns]
+            lit[:, part.rows, part.columns] = (scenes * self.fade)[:, part.rows, part.columns]
             total = total + share * self._blurred(light, lit, psf)
         return total
 

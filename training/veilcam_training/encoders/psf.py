@@ -12,7 +12,7 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
 from veilcam_optics.pictures import KINDS, SUFFIXES, PictureError, read_picture, used_range
 from veilcam_optics.propagation.sampling import axis, coverage
-from veilcam_optics.transfer.reference import TransferBinning
+from veilcam_optics.transfer.binning import TransferBinning
 from veilcam_training.data.base import UNREADABLE
 from veilcam_training.encoders.base import FixedEncoder, Setup
 from veilcam_training.errors import TrainingError, require

@@ -8,6 +8,7 @@ from functools import cache
 
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_psf, reference_transfer
 from tests.unit.optics.tensors import bare
 from torch import Tensor
 
@@ -20,7 +21,6 @@ from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_psf, reference_transfer
 
 CAMERA = Camera(
     panel=Panel(filter_cycle=()), window=Window(6, 3), sensor=Sensor(rows=200, columns=240)

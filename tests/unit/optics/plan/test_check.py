@@ -9,8 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_transfer
 from tests.unit.optics.tensors import mask, relative
 from torch import Tensor
+from veilcam_optics.plan.check import CONFIDENCE, FullField, chances_of, estimate
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
@@ -18,9 +20,7 @@ from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import check as checking
 from veilcam_optics.plan import plan
-from veilcam_optics.plan.check import CONFIDENCE, FullField, chances_of, estimate
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.tables import Reach
 
 SCENE, EMBEDDING = Scene(3, 2, height=0.05), Embedding(4, 5)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_transfer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.unit.optics.tensors import bare, mask, relative
@@ -24,7 +25,6 @@ from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.tables import Reach
 
 BARE = Panel(filter_cycle=())

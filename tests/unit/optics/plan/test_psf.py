@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_psf
+from veilcam_optics.plan.psf import psf, psf_shape
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
-from veilcam_optics.plan.psf import psf, psf_shape
 from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.transfer.reference import reference_psf
 from veilcam_optics.transfer.tables import Reach
 
 CAMERA = Camera(window=Window(6, 4), sensor=Sensor(rows=300, columns=400))

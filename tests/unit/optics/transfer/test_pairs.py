@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from benchmarks.accuracy.reference import reference_transfer
 from tests.unit.optics.tensors import assert_same
 from torch import Tensor
 
@@ -13,9 +14,9 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer import product
+from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Measurement, Transfer
-from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Reach
 
@@ -142,7 +143,13 @@ def test_extreme_shapes_agree_with_direct_integration(
     camera = Camera(panel=panel, window=window, sensor=sensor)
     weights = masks_of(camera, 1)
     operator = TransferOperator(
-        camera, scene, embedding, reach=Reach(9, 9), step=0.5e-6, dtype=torch.float64
+        camera,
+        scene,
+        embedding,
+        reach=Reach(9, 9),
+        step=0.5e-6,
+        dtype=torch.float64,
+        approximation=Approximation(axial=True),
     )
     truth = reference_transfer(camera, scene, embedding, weights[0])
     (found,) = operator(weights)

@@ -2,8 +2,8 @@
 
 ``U = F w G^T``, equation (2) of docs/mathematics.md, with every interference term is sampled on
 cells much finer than any fringe that survives the averaging; ``|U|^2`` is then integrated against
-pixel boxes cell by cell (midpoint rule). Nothing is shared with the transfer operator's kernels but
-the field of one aperture. Slow, and meant to be: it says how wrong the fast ways are.
+pixel boxes cell by cell (midpoint rule). Light from every scene point is as bright as light along
+the axis. Nothing is shared with the transfer operator's kernels but the field of one aperture.
 """
 
 import math
@@ -17,77 +17,11 @@ from veilcam_optics.camera.inputs import check_weights
 from veilcam_optics.errors import require_count, require_memory
 from veilcam_optics.propagation.base import complex_type
 from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.binning import as_matrix, axis_boxes
 from veilcam_optics.transfer.factored import aperture_fields
 from veilcam_optics.transfer.grid import sample_pitch
 
 _ROWS_AT_ONCE = 128
-
-
-def transfer_boxes(
-    *, length: float, pixels: int, scene_pixels: int, image: float, cells: int, pitch: float
-) -> Tensor:
-    """Return the weight of each cell of one axis for each (scene pixel, embedding pixel).
-
-    The weight is the integral over the cell of ``kappa``, the overlap of an embedding pixel's box
-    with a scene pixel's image, exact for irradiance that is constant on each cell.
-
-    Args:
-        length: side of the sensor [m], cut into ``pixels`` embedding pixels.
-        pixels: embedding pixels along the axis.
-        scene_pixels: scene pixels along the axis.
-        image: side of a scene pixel's geometric image on the sensor [m].
-        cells: cells of the irradiance along the axis, centred.
-        pitch: side of a cell [m].
-
-    Returns:
-        float64 (scene_pixels * pixels, cells), the scene pixel running slower.
-    """
-    pixel = length / pixels
-    embedding = (torch.arange(pixels, dtype=torch.float64) - (pixels - 1) / 2) * pixel
-    # A scene point at s falls at -s d2/d1 (inverted), so the offset to it is o + s d2/d1.
-    scene = (torch.arange(scene_pixels, dtype=torch.float64) - (scene_pixels - 1) / 2) * image
-    offsets = (scene[:, None] + embedding).reshape(-1, 1)
-    edges = (torch.arange(cells + 1, dtype=torch.float64) - cells / 2) * pitch
-    outer, inner = (pixel + image) / 2, abs(pixel - image) / 2
-    below = torch.zeros(len(offsets), cells + 1, dtype=torch.float64)
-    for corner, sign in ((-outer, 1.0), (-inner, -1.0), (inner, -1.0), (outer, 1.0)):
-        below += sign * (edges - offsets - corner).clamp_min(0).square() / 2
-    return below.diff(dim=1) / (pixel * scene_pixels * image)
-
-
-class TransferBinning:
-    """Turns a point spread function on square cells, centred on the axis, into a transfer matrix.
-
-    Args:
-        camera: gives the sensor's sides and the scene's scale.
-        scene: scene whose pixels are the rows of the matrix.
-        embedding: embedding whose pixels are the columns of the matrix.
-        shape: cells (rows, columns) of the irradiance; what falls outside counts as dark.
-        pitch: side of a cell [m].
-        dtype: type of irradiance and matrix.
-    """
-
-    def __init__(
-        self,
-        camera: Camera,
-        scene: Scene,
-        embedding: Embedding,
-        *,
-        shape: tuple[int, int],
-        pitch: float,
-        dtype: torch.dtype = torch.float64,
-    ) -> None:
-        self.scene, self.embedding = scene, embedding
-        rows, columns = _boxes(camera, scene, embedding, shape, pitch)
-        self._rows, self._columns = rows.to(dtype), columns.to(dtype).T
-
-    def __call__(self, irradiance: Tensor) -> Tensor:
-        """Return the matrix from (..., rows, columns), relative to the irradiance at the mask.
-
-        Returns:
-            (..., scene pixels, embedding pixels).
-        """
-        return _as_matrix(self._rows @ irradiance @ self._columns, self.scene, self.embedding)
 
 
 def reference_transfer(
@@ -131,7 +65,7 @@ def reference_transfer(
         float(max(shape)) * offsets,
         "fewer, a nearer sensor or a smaller scene",
     )
-    row_boxes, column_boxes = _boxes(camera, scene, embedding, shape, pitch)
+    row_boxes, column_boxes = axis_boxes(camera, scene, embedding, shape, pitch)
     outputs = [[channel] for channel in range(3)] if colour else [[0, 1, 2]]
     shares = (1.0, 1.0, 1.0) if colour else camera.sensor.channel_weights
     grid = Grid.square(*shape, pitch)
@@ -146,7 +80,7 @@ def reference_transfer(
             reached = boxes.any(dim=1).nonzero().flatten()
             lines[reached] += boxes[reached] @ irradiance
         transfers.append(lines @ column_boxes.T)
-    matrices = _as_matrix(torch.stack(transfers), scene, embedding)
+    matrices = as_matrix(torch.stack(transfers), scene, embedding)
     return matrices if colour else matrices[0]
 
 
@@ -272,32 +206,3 @@ def _irradiance(
                 part = left[rows] @ spread
                 total.addcmul_(part, part)
         yield rows, total
-
-
-def _boxes(
-    camera: Camera, scene: Scene, embedding: Embedding, shape: tuple[int, ...], pitch: float
-) -> tuple[Tensor, Tensor]:
-    rows, columns = (
-        transfer_boxes(
-            length=length,
-            pixels=pixels,
-            scene_pixels=scene_pixels,
-            image=scene.pixel_at_sensor(camera),
-            cells=cells,
-            pitch=pitch,
-        )
-        for length, pixels, scene_pixels, cells in (
-            (camera.sensor.height, embedding.rows, scene.rows, shape[0]),
-            (camera.sensor.width, embedding.columns, scene.columns, shape[1]),
-        )
-    )
-    return rows, columns
-
-
-def _as_matrix(transfer: Tensor, scene: Scene, embedding: Embedding) -> Tensor:
-    """(..., scene rows x pixel rows, scene columns x pixel columns) to (..., scene, embedding)."""
-    leading = transfer.shape[:-2]
-    split = transfer.reshape(
-        -1, scene.rows, embedding.rows, scene.columns, embedding.columns
-    ).permute(0, 1, 3, 2, 4)
-    return split.reshape(*leading, scene.rows * scene.columns, embedding.size)
