@@ -26,7 +26,6 @@ def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0
         Conditions(
             bandwidth=(20e-9, 20e-9, 20e-9),
             depth_range=0.2 * scene.distance,
-            off_axis=0.1,
             imperfections=Imperfections(
                 gamma=1.1,
                 contrast_floor=0.02,

@@ -21,8 +21,8 @@ _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    y, x = scene_tangents(model.scene)
-    return torch.from_numpy(y), torch.from_numpy(x)
+    y, x = (torch.from_numpy(each) for each in scene_tangents(model.scene))
+    return (y, x) if model.sampling.oblique else (0 * y, 0 * x)
 
 
 def scene_pixel_tangent(model: Model) -> float:

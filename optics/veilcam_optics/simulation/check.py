@@ -200,9 +200,8 @@ class FullField:
         row, column = divmod(point, self.model.scene.columns)
         down, across = divmod(pixel, self.model.embedding.columns)
         rows, columns = self.model.embedding.shape
-        along_y, along_x = (
-            float(factor) for factor in stretch(self.tangents[0][row], self.tangents[1][column])
-        )
+        tangent_y, tangent_x = self.tangents[0][row], self.tangents[1][column]
+        along_y, along_x = (float(factor) for factor in stretch(tangent_y, tangent_x))
         total = 0.0
         for beam in self.beams:
             amplitudes = np.array(self.camera.row_amplitudes(beam.channel))
@@ -212,8 +211,12 @@ class FullField:
             axis_y, axis_x = self._axes[beam.scene_distance]
             wavelength = float(beam.wavelength)
             every = np.arange(self.camera.window.columns)
-            y = _entry(axis_y, row * rows + down, passed, wavelength * along_y)
-            x = _entry(axis_x, column * columns + across, every, wavelength * along_x)
+            at_y, at_x = (
+                axis_y.at(np.array([row * rows + down]), float(tangent_x**2)),
+                axis_x.at(np.array([column * columns + across]), float(tangent_y**2)),
+            )
+            y = _products(at_y, passed, wavelength * along_y)
+            x = _products(at_x, every, wavelength * along_x)
             mask = amplitudes[passed, None] * self.weights[passed]
             # sum over r, s, c, d of y[r, s] w[r, c] w[s, d] x[c, d]
             light = float(((mask.T @ y @ mask) * x).sum().real)
@@ -221,9 +224,9 @@ class FullField:
         return total * float(self.fade[row, column])
 
 
-def _entry(axis: Axis[Any], offset: int, of: npt.NDArray[Any], wavelength: float) -> Any:
+def _products(axis: Axis[Any], of: npt.NDArray[Any], wavelength: float) -> Any:
     """Integrals of products of all aperture fields in the box of one offset, (of, of)."""
-    boxes = BoxFields(axis.at(np.array([offset])), of, wavelength, len(axis.centres) - 1)
+    boxes = BoxFields(axis, of, wavelength, len(axis.centres) - 1)
     return boxes.integrated(boxes.fields, boxes.fields)[0]
 
 

@@ -196,10 +196,17 @@ class Axis(Generic[Array]):
         self._scene_distance, self._square = scene_distance, 1 + other
         self._axial = approximation.axial
 
-    def at(self, index: Array) -> Self:
-        """Return the same axis with some of its offsets alone."""
+    def at(self, index: Array, other: float | None = None) -> Self:
+        """Return the same axis with some of its offsets alone.
+
+        Args:
+            index: indices of offsets.
+            other: square of their scene pixels' tangent along the other axis, where it is known.
+        """
         found = copy(self)
         found.offsets, found.tangents = self.offsets[index], self.tangents[index]
+        if other is not None:
+            found._square = 1 + other  # noqa: SLF001 - of its own class
         return found
 
     @cached_property

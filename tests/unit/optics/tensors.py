@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Panel, Scene
+from veilcam_optics.plan import Plan
+from veilcam_optics.simulation.operator import LightOperator
 
 
 def seeded(seed: int = 0) -> torch.Generator:
@@ -31,6 +35,12 @@ def bare(pitch: float, aperture: float) -> Panel:
     return Panel(
         pitch_y=pitch, pitch_x=pitch, aperture_y=aperture, aperture_x=aperture, filter_cycle=()
     )
+
+
+def axial(chosen: Plan) -> LightOperator:
+    """What a plan computes, without the angle of the field, as the reference knows no other."""
+    sampling = replace(chosen.model.sampling, oblique=False, zones=1)
+    return LightOperator(replace(chosen.model, sampling=sampling))
 
 
 def relative(value: Tensor, reference: Tensor | np.ndarray) -> float:

@@ -14,10 +14,10 @@ from tests.unit.optics.tensors import bare, mask, relative
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections, half_field
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
 from veilcam_optics.effects.base import Assessment
-from veilcam_optics.effects.light import OffAxis, Zone, tangents
+from veilcam_optics.effects.light import Zone
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
@@ -25,6 +25,7 @@ from veilcam_optics.plan.cost import pairs
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.simulation.rotated_mask import RotatedMask
+from veilcam_optics.transfer.field_angle import fading, scene_tangents
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 from veilcam_optics.transfer.kernels import shadow_kernel
 from veilcam_optics.transfer.operator import TransferOperator
@@ -76,7 +77,7 @@ CALLED = {
         least=1.5e-4,
     ),
     "depth layers": Called(Conditions(depth_range=0.1)),
-    "field angle": Called(Conditions(off_axis=0.3)),
+    "field angle": Called(),
     "mask quantisation": Called(Conditions(levels=16)),
     "mask gamma": Called(Conditions(imperfections=Imperfections(gamma=1.1))),
     "contrast floor": Called(Conditions(imperfections=Imperfections(contrast_floor=0.05))),
@@ -250,7 +251,6 @@ def test_methods_agree_under_all_linear_conditions(method: str) -> None:
     conditions = Conditions(
         bandwidth=(20e-9, 0.0, 30e-9),
         depth_range=0.1,
-        off_axis=0.2,
         imperfections=Imperfections(
             gamma=1.1,
             contrast_floor=0.05,
@@ -271,7 +271,7 @@ def test_methods_agree_under_all_linear_conditions(method: str) -> None:
 
 def test_transfer_and_embedding_agree_and_pass_gradients() -> None:
     conditions = Conditions(
-        off_axis=0.2, imperfections=Imperfections(gamma=1.2, stray_light=0.1), bayer=True, levels=64
+        imperfections=Imperfections(gamma=1.2, stray_light=0.1), bayer=True, levels=64
     )
     operator = LightOperator(model_of(Called(conditions, panel=LEAKY), zones=2))
     weights = mask(CAMERA).requires_grad_()
@@ -347,21 +347,34 @@ def test_oblique_light_spreads_as_the_distance_bends() -> None:
     assert zone.stretch == pytest.approx((1 / (d * bend_y), 1 / (d * bend_x)), rel=1e-6)
 
 
-@pytest.mark.parametrize("angle", [1e-200, 4e-5, 1e-3, 0.3, 1.3])
-def test_field_fades_with_the_fourth_power_of_the_cosine(angle: float) -> None:
+@pytest.mark.parametrize("height", [1e-200, 3e-5, 1e-3, 0.3, 3.0])
+def test_field_fades_with_the_fourth_power_of_the_cosine(height: float) -> None:
     """Its mean over a pixel, also of pixels of a few tens of microradians and of a wide field."""
-    model = model_of(Called(Conditions(off_axis=angle)))
-    fade, (y, x) = OffAxis().fade(model), tangents(model)
-    half = float(y[1] - y[0]) / 2
-    nodes, shares = (torch.from_numpy(each) for each in np.polynomial.legendre.leggauss(40))
-    down, across = y[0] + half * nodes[:, None], x[1] + half * nodes
-    cosines = (1 + down.square() + across.square()) ** -2
+    scene = replace(SCENE, height=height)
+    kept, (y, x) = fading(scene), scene_tangents(scene)
+    half = scene.pixel / scene.distance / 2
+    nodes, shares = np.polynomial.legendre.leggauss(40)
+    cosines = (1 + (y[0] + half * nodes[:, None]) ** 2 + (x[1] + half * nodes) ** 2) ** -2
     # A middle is half the square of a side off, at most 5e-9; edges round at 1e-16 over it.
-    assert float(fade[0, 1]) == pytest.approx(float(shares @ cosines @ shares) / 4, rel=2e-8)
+    assert kept[0, 1] == pytest.approx(float(shares @ cosines @ shares) / 4, rel=2e-8)
 
 
-def test_half_of_the_field_is_seen_under_this_angle() -> None:
-    assert half_field(Scene(height=0.4, distance=0.2)) == pytest.approx(math.pi / 4)
+def test_oblique_light_is_fainter_on_the_far_side_of_the_mask() -> None:
+    """Of two sub-pixels alone, the light is that of the way to each: the cube of the cosine."""
+    camera = replace(CAMERA, window=Window(41, 1))
+    scene = Scene(2, 1, height=0.4, distance=0.2)
+    sampling = Sampling(reach=Reach(0, 0), step=1e-6, dtype=torch.float64)
+    oblique = Model(camera, scene, Embedding(1, 1), IDEAL, sampling)
+    axial = replace(oblique, sampling=replace(sampling, oblique=False))
+    cubes, lights = [], []
+    for row in (0, 40):
+        alone = torch.zeros(camera.mask_shape, dtype=torch.float64)
+        alone[row] = 1
+        cubes.append(math.hypot(1, (0.1 - camera.row_centres[row]) / 0.2) ** -3)
+        light = LightOperator(oblique)(alone)[1] / LightOperator(axial)(alone)[1]
+        lights.append(float(light))
+    assert lights[1] / lights[0] == pytest.approx(cubes[1] / cubes[0], rel=2e-4)
+    assert abs(cubes[1] / cubes[0] - 1) > 5e-3
 
 
 def test_zones_cut_the_field_without_a_seam() -> None:

@@ -14,7 +14,7 @@ from torch import Tensor
 from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects.composition import read
 from veilcam_optics.effects.sensor import over_light
-from veilcam_optics.plan.reading import converted
+from veilcam_optics.plan.errors import converted
 
 
 def test_measurement_passes_gradients_straight_through() -> None:

@@ -9,12 +9,13 @@ import torch
 from tests.unit.optics.tensors import bare
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.effects import Model
 from veilcam_optics.effects.mask import DeadSpace
 from veilcam_optics.plan import plan
+from veilcam_optics.plan.bounds import QUADRATURE, fringe_step
 from veilcam_optics.plan.errors import ROUNDING, ErrorModel
-from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.plan.probe import relative
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 
@@ -25,7 +26,7 @@ def model(cycle: tuple[int, ...] = ()) -> Model:
     camera = Camera(
         panel=panel, window=Window(8, 4, 0, 0), sensor=Sensor(24, 24, 10e-6), distance=1e-3
     )
-    return Model(camera, Scene(4, 4, 0.02, 0.1), Embedding(4, 4), PARAXIAL)
+    return Model(camera, Scene(4, 4, 0.02, 0.1), Embedding(4, 4))
 
 
 def probes_used(tolerance: float, monkeypatch: pytest.MonkeyPatch) -> tuple[float, set[int]]:
@@ -73,7 +74,7 @@ def one_aperture(distance: float, pixel: float, shift: float = 0.0) -> Model:
     camera = Camera(panel, Window(1, 1, 0, 0), Sensor(8, 8, pixel / 8), distance)
     moved = Imperfections(shift_y=shift)
     scene = Scene(1, 1, distance / 100, 10 * distance)
-    return Model(camera, scene, Embedding(1, 1), Conditions(off_axis=0.0, imperfections=moved))
+    return Model(camera, scene, Embedding(1, 1), Conditions(imperfections=moved))
 
 
 def test_light_that_is_alike_everywhere_is_rounded_by_what_is_said() -> None:
@@ -89,7 +90,7 @@ def test_light_that_is_alike_everywhere_is_rounded_by_what_is_said() -> None:
     camera = Camera(
         panel, Window(10, 11, 0, 0), Sensor(26, 16, 0.93e-6), 0.277, wavelengths=(12e-6,) * 3
     )
-    conditions = Conditions(off_axis=0.0, imperfections=Imperfections(rotation=8.5e-4))
+    conditions = Conditions(imperfections=Imperfections(rotation=8.5e-4))
     given = Model(camera, Scene(3, 5, 27e-6, 9.4), Embedding(1, 3), conditions)
     given = given.with_sampling(reach=Reach(9, 10), step=0.653e-6)
     weights = torch.rand(8, 10, 11, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
@@ -105,25 +106,16 @@ def test_light_that_is_alike_everywhere_is_rounded_by_what_is_said() -> None:
 
 
 @pytest.mark.parametrize("pixel", [0.52e-3, 2e-3])
-def test_coarse_nodes_are_wrong_by_what_is_predicted(pixel: float) -> None:
-    """A pixel that light overflows, and one that holds all: there the step's square cancels.
-
-    What is left goes with the fourth power, which is said to be 5/4 of what it is; higher powers
-    are a few per cent at a step that resolves the fringes.
-    """
+def test_nodes_of_a_plan_integrate_as_well_as_is_said(pixel: float) -> None:
+    """A pixel that light overflows, and one that holds all of it."""
     given = one_aperture(55e-3, pixel).with_sampling(reach=Reach(0, 0), dtype=torch.float64)
-    step = 20e-6
+    step = fringe_step(given, Reach(0, 0))
     weights = torch.ones(1, 1, dtype=torch.float64)
-    coarse, fine = (
-        LightOperator(given.with_sampling(step=one))(weights) for one in (step, step / 16)
+    coarse, planned, fine = (
+        LightOperator(given.with_sampling(step=one))(weights) for one in (4 * step, step, step / 8)
     )
-    probe = Probe(given)
-    used = given.with_sampling(step=step)
-    light = probe.transfer(used)
-    predicted = relative(light + probe.straightened(used), light)
-    measured = float((coarse - fine).norm() / fine.norm())
-    assert measured > 1e-6
-    assert measured / 1.5 < predicted < 2 * measured
+    assert relative(planned, fine) < QUADRATURE
+    assert relative(coarse, fine) > 30 * relative(planned, fine), "the fourth power of the step"
 
 
 def test_shadows_beside_the_sensor_are_no_plan_that_reaches() -> None:
@@ -148,7 +140,6 @@ def test_middle_of_a_scene_pixel_is_brighter_than_its_corners() -> None:
     given = one_aperture(20e-3, 0.4e-3)
     panel = replace(given.camera.panel, aperture_y=0.1e-3, aperture_x=0.1e-3)
     camera = replace(given.camera, panel=panel)
-    scene = Scene(1, 1, height=0.08 * 2.0, distance=2.0)
-    wide = Model(camera, scene, Embedding(1, 1), Conditions(off_axis=0.04))
-    found = ErrorModel(wide, 1e-3)._uneven
-    assert 0.5 * 0.04**2 < found < 2 * 0.04**2
+    scene = Scene(1, 1, height=0.24 * 2.0, distance=2.0)
+    found = ErrorModel(Model(camera, scene, Embedding(1, 1)), 1e-3)._uneven
+    assert 0.5 * 0.12**2 < found < 2 * 0.12**2

@@ -17,7 +17,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.effects.model import Method
 from veilcam_optics.plan import Plan, plan
-from veilcam_optics.plan.reading import converted
+from veilcam_optics.plan.errors import converted
 
 HALF_OPEN = (10, 8), (10, 8)
 UNHURRIED = 120.0

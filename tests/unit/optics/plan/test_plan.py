@@ -11,11 +11,11 @@ import torch
 from benchmarks.accuracy.reference import reference_transfer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.unit.optics.tensors import bare, mask, relative
+from tests.unit.optics.tensors import axial, bare, mask, relative
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, PARAXIAL, Conditions, Imperfections
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
 from veilcam_optics.cli.main import app
 from veilcam_optics.effects import EFFECTS, Model, Sampling
 from veilcam_optics.effects.model import Method
@@ -34,7 +34,6 @@ EMBEDDING = Embedding(9, 11)
 SOME = Conditions(
     bandwidth=(40e-9,) * 3,
     depth_range=0.1,
-    off_axis=0.2,
     imperfections=Imperfections(gamma=1.1, rotation=2e-3),
     bayer=True,
 )
@@ -50,14 +49,15 @@ def of_some() -> Plan:
 @pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
     camera = replace(CAMERA, panel=panel)
-    chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
+    chosen = plan(camera, SCENE, EMBEDDING, tolerance)
     masks = [mask(camera, seed) for seed in (11, 12)]
-    measured = torch.stack([chosen.transfer(weights) for weights in masks]).double()
+    measured = torch.stack([axial(chosen)(weights) for weights in masks]).double()
     exact = (reference_transfer(camera, SCENE, EMBEDDING, w, oversampling=16) for w in masks)
     truth = torch.stack(list(exact))
     assert chosen.reached
     assert chosen.error <= tolerance
-    assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
+    # The reference has no field angle, and is Fresnel's, as the plan is.
+    assert relative(measured, truth) < 2 * chosen.error + 3e-5
 
 
 @pytest.mark.thorough
@@ -148,7 +148,7 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
     assert chosen.reached == (chosen.error <= tolerance and chosen.cost.numbers <= MAX_NUMBERS)
     assert math.isfinite(chosen.cost.step_ms)
     text = chosen.explain()
-    assert all(effect.name in text for effect in EFFECTS)
+    assert all(effect.name in " ".join(text.split()) for effect in EFFECTS)
     assert "predicted error" in text
     if chosen.cost.step_ms < 300:
         values = chosen.embed(torch.ones(1, *scene.shape), mask(camera))
@@ -174,7 +174,6 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
         Conditions,
         bandwidth=st.sampled_from([(0.0, 0.0, 0.0), (1e-8, 0.0, 2e-7)]),
         depth_range=st.sampled_from([0.0, 1e-3, 0.4]),
-        off_axis=st.sampled_from([0.0, 0.1, 1.2]),
         imperfections=st.builds(
             Imperfections,
             gamma=st.floats(0.2, 5),
@@ -247,14 +246,17 @@ def test_batch_moves_work_to_where_it_is_cheaper() -> None:
 def test_explanation_says_what_was_chosen(of_some: Plan) -> None:
     text = of_some.explain()
     sampling = of_some.model.sampling
-    assert (
-        f"reach of interference    {sampling.reach.rows} rows, {sampling.reach.columns} columns"
-        in text
-    )
-    assert f"wavelengths per channel  {sampling.wavelengths}" in text
-    assert "number format            float32" in text
-    assert "tolerance                1.0e-03" in text
-    for found in of_some.assessments:
+    told = " ".join(text.split())
+    for value in (
+        f"reach of interference {sampling.reach.rows} rows, {sampling.reach.columns} columns",
+        f"wavelengths per channel {sampling.wavelengths}",
+        "number format float32",
+        "tolerance 1.0e-03",
+        "one step coarser",
+        "one step finer",
+    ):
+        assert value in told
+    for found in (found for found in of_some.assessments if found.present):
         line = next(line for line in text.splitlines() if line.startswith(f" {found.name} "))
         assert f" {'on' if found.matters else 'off'} " in line
 
@@ -327,7 +329,7 @@ def test_where_shadows_do_every_other_effect_is_still_judged() -> None:
 def test_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
     """Each pixel's light is that of the part of the mask in front of it, in closed form."""
     near = replace(CAMERA, distance=1e-6, sensor=Sensor(24, 24, pixel=73e-6 / 8))
-    chosen = plan(near, Scene(1, 1, height=1e-3), Embedding(1, 1), 1e-2, PARAXIAL)
+    chosen = plan(near, Scene(1, 1, height=1e-3), Embedding(1, 1), 1e-2)
     weights = torch.ones(near.mask_shape, dtype=torch.float64)
     side = 24 * 73e-6 / 8
     open_y = _open(near.row_centres, near.panel.aperture_y, side)
@@ -350,7 +352,7 @@ def test_field_angle_of_the_scene_is_in_the_plan() -> None:
     assert found["field angle"].matters
     assert 1e-2 < found["field angle"].error < 5e-2
     transfer = chosen.transfer(mask(Camera()).float()).reshape(28, 28, -1)
-    flat = plan(Camera(), Scene(), Embedding(3, 4), 1e-2, PARAXIAL)
+    flat = plan(Camera(), Scene(), Embedding(3, 4), 1e-2)
     paraxial = flat.transfer(mask(Camera()).float()).reshape(28, 28, -1)
     ratio = float(transfer[0, 14].sum() / paraxial[0, 14].sum())
     assert ratio == pytest.approx((1 + (0.06 * 27 / 28 / 0.4) ** 2) ** -2, rel=5e-3)
@@ -373,8 +375,8 @@ def test_far_interference_that_was_not_looked_at_is_bounded() -> None:
     panel = bare(3e-6, 3e-6)
     camera = Camera(panel=panel, window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3)
     scene = Scene(2, 2, height=0.005)
-    chosen = plan(camera, scene, Embedding(16, 16), 1e-2, PARAXIAL)
+    chosen = plan(camera, scene, Embedding(16, 16), 1e-2)
     weights = mask(camera)
     truth = reference_transfer(camera, scene, Embedding(16, 16), weights, oversampling=16)
-    measured = relative(chosen.transfer(weights).double(), truth)
+    measured = relative(axial(chosen)(weights).double(), truth)
     assert measured < 2 * chosen.error

@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.accuracy.reference import reference_transfer
-from tests.unit.optics.tensors import mask, relative
+from tests.unit.optics.tensors import axial, mask, relative
 from torch import Tensor
-from veilcam_optics.plan.check import CONFIDENCE, FullField, chances_of, estimate
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.plan import check as checking
 from veilcam_optics.plan import plan
+from veilcam_optics.simulation import check as checking
+from veilcam_optics.simulation.check import CONFIDENCE, FullField, chances_of, estimate
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 
 SCENE, EMBEDDING = Scene(3, 2, height=0.05), Embedding(4, 5)
+AXIAL = Sampling(oblique=False)
 WINDOWED = Camera(window=Window(6, 4), sensor=Sensor(rows=300, columns=400))
 CAMERAS = {
     "filters": WINDOWED,
@@ -39,15 +40,13 @@ CAMERAS = {
     ),
 }
 CONDITIONS = {
-    "field angle": Conditions(off_axis=0.5),
-    "spectrum": Conditions(bandwidth=(250e-9, 200e-9, 0.0), off_axis=0.0),
-    "depth": Conditions(depth_range=0.3, off_axis=0.0),
-    "panel": Conditions(
-        levels=6, off_axis=0.0, imperfections=Imperfections(gamma=1.8, contrast_floor=0.1)
-    ),
-    "shift": Conditions(off_axis=0.0, imperfections=Imperfections(shift_y=80e-6, shift_x=-50e-6)),
-    "distance": Conditions(off_axis=0.0, imperfections=Imperfections(distance_error=300e-6)),
-    "bayer": Conditions(bayer=True, off_axis=0.0),
+    "field angle": IDEAL,
+    "spectrum": Conditions(bandwidth=(250e-9, 200e-9, 0.0)),
+    "depth": Conditions(depth_range=0.3),
+    "panel": Conditions(levels=6, imperfections=Imperfections(gamma=1.8, contrast_floor=0.1)),
+    "shift": Conditions(imperfections=Imperfections(shift_y=80e-6, shift_x=-50e-6)),
+    "distance": Conditions(imperfections=Imperfections(distance_error=300e-6)),
+    "bayer": Conditions(bayer=True),
 }
 
 
@@ -55,9 +54,6 @@ CONDITIONS = {
 def whole(model: Model) -> Tensor:
     """Every entry, by the check's own field; several tests compare with the same."""
     field = FullField(model, mask(model.camera, 5))
-    # Entries of one row or column share a factor: computed for each, as draws of a check do, they
-    # take five times as long.
-    field._products = cache(field._products)  # type: ignore[method-assign]
     pixels = model.scene.rows * model.scene.columns
     return torch.tensor(
         [[field.entry(p, e) for e in range(model.embedding.size)] for p in range(pixels)],
@@ -73,7 +69,7 @@ def test_field_of_a_check_is_that_of_the_reference(name: str) -> None:
     """The reference's cells are converged to some millionths: finer where fringes are."""
     camera, oversampling = CAMERAS[name], {"near": 96, "fine": 48}.get(name, 16)
     truth = reference_transfer(camera, SCENE, EMBEDDING, mask(camera, 5), oversampling=oversampling)
-    assert relative(whole(Model(camera, SCENE, EMBEDDING, PARAXIAL)), truth) < 3e-5
+    assert relative(whole(Model(camera, SCENE, EMBEDDING, sampling=AXIAL)), truth) < 3e-5
 
 
 @pytest.mark.thorough
@@ -81,15 +77,17 @@ def test_field_of_a_check_is_that_of_the_reference(name: str) -> None:
 def test_field_of_a_check_counts_every_effect(name: str) -> None:
     """Against an operator with all pairs, each scene pixel's own angle, and as many samples."""
     conditions, camera = CONDITIONS[name], CAMERAS["filters"]
+    scene = Scene(3, 2, height=0.4) if name == "field angle" else SCENE
     sampling = Sampling(
         reach=Reach(5, 3), wavelengths=7, layers=7, zones=3, step=0.1e-6, dtype=torch.float64
     )
-    model = Model(camera, SCENE, EMBEDDING, conditions, sampling)
+    model = Model(camera, scene, EMBEDDING, conditions, sampling)
     with torch.no_grad():
         operated = LightOperator(model)(mask(camera, 5))
     found = whole(replace(model, sampling=Sampling()))
     assert relative(found, operated) < 1e-5
-    without = whole(Model(camera, SCENE, EMBEDDING, PARAXIAL))
+    ignored = AXIAL if name == "field angle" else Sampling()
+    without = whole(Model(camera, scene, EMBEDDING, sampling=ignored))
     assert relative(without, operated) > 1e-4, "the effect is large enough to be tested"
 
 
@@ -117,8 +115,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
     camera = CAMERAS[name]
     scene, embedding = Scene(4, 4, height=0.06), Embedding(9, 11)
     truth = reference_transfer(camera, scene, embedding, mask(camera, 5), oversampling=16).numpy()
-    chosen = plan(camera, scene, embedding, 5e-2, PARAXIAL)
-    computed = chosen.transfer(mask(camera, 5)).double().numpy()
+    chosen = plan(camera, scene, embedding, 5e-2)
+    computed = axial(chosen)(mask(camera, 5)).double().detach().numpy()
     true = float(np.linalg.norm(computed - truth) / np.linalg.norm(truth))
     chances = chances_of(computed)
     held, logs = 0, []
@@ -151,12 +149,12 @@ def test_dark_transfers_have_no_relative_error() -> None:
 
 
 def test_stray_light_is_spread_by_the_plans_own_mean() -> None:
-    conditions = Conditions(off_axis=0.0, imperfections=Imperfections(stray_light=0.3))
+    conditions = Conditions(imperfections=Imperfections(stray_light=0.3))
     camera = CAMERAS["filters"]
     chosen = plan(camera, SCENE, EMBEDDING, 1e-2, conditions)
     found = chosen.check(mask(camera, 5), entries=8)
     assert found.error < 1e-2
-    ignored = LightOperator(replace(chosen.model, conditions=PARAXIAL))
+    ignored = LightOperator(replace(chosen.model, conditions=IDEAL))
     assert replace(chosen, model=ignored.model).check(mask(camera, 5), entries=8).error > 3e-2
 
 
