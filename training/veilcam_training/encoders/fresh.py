@@ -220,7 +220,7 @@ class FreshCamera(Encoder):
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         for operator in (self.decoding.operator, *itertools.chain(*self._panels.values())):
             # What nn.Module does to its own children.
-            operator._apply(fn)  # noqa: SLF001
+            operator._apply(fn)  # type: ignore[no-untyped-call] # noqa: SLF001
         known = self.decoding.statistics
         self.decoding.statistics = SceneStatistics(
             fn(known.mean), fn(known.basis), fn(known.residual)

@@ -44,7 +44,7 @@ class Mask(LinearEncoder):
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         for operator in chain.from_iterable(self._operators):
             # What nn.Module does to its own children.
-            operator._apply(fn)  # noqa: SLF001
+            operator._apply(fn)  # type: ignore[no-untyped-call] # noqa: SLF001
         return self
 
     def levels(self) -> npt.NDArray[np.uint8]:

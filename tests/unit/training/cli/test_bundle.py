@@ -72,10 +72,7 @@ def test_bundle_is_shown(tmp_path: Path) -> None:
     assert f"accuracy {100 * bundle.accuracy.value:.2f} % on {bundle.accuracy.test_set}" in said
     planned = "light: planned to 3.0e-03, predicted error 1.7e-03 (reached), 1 zone, "
     assert f"{planned}reach 0 rows 1 columns; worst mask by check: error {error}\n" in said
+    assert "light: not planned\n" in run("show", BUNDLE)
     owner = run("keygen", key).splitlines()[-1]
     run("sign", file, "--key", key, "--version", "3")
     assert f"version 3, {read_bundle(file).digest[:12]}\n{owner}\n" in run("show", file)
-
-
-def test_of_an_older_bundle_no_plan_is_known() -> None:
-    assert "light: not planned\n" in run("show", BUNDLE)
