@@ -33,8 +33,6 @@ class Setup:
     """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
     tolerance: float = 3e-3
     """Relative L2 error that the light is planned to, at the embedding."""
-    batch: int = 64
-    """Images behind one mask in a step, what a plan counts the time of."""
 
     @property
     def grids(self) -> tuple[Scene, ...]:

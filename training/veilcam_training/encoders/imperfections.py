@@ -52,17 +52,18 @@ def plan_light(setup: Setup) -> tuple[Plan, ...]:
     if setup.point_binning:
         return ()
     return tuple(
-        _planned(setup.camera, scene, setup.embedding, setup.tolerance, setup.batch)
-        for scene in setup.grids
+        _planned(setup.camera, scene, setup.embedding, setup.tolerance) for scene in setup.grids
     )
 
 
 @lru_cache(maxsize=64)
-def _planned(
-    camera: Camera, scene: Scene, embedding: Embedding, tolerance: float, batch: int
-) -> Plan:
-    """Return a plan; every place and every pair of one setup has the same."""
-    return plan(camera, scene, embedding, tolerance, batch=batch, method="transfer")
+def _planned(camera: Camera, scene: Scene, embedding: Embedding, tolerance: float) -> Plan:
+    """Return a plan; every place and every pair of one setup has the same.
+
+    Pixels that are black in all images of a step are left out of its products. So a plan for its
+    whole batch would take zones for cheaper than they are: it is made for the default one.
+    """
+    return plan(camera, scene, embedding, tolerance, method="transfer")
 
 
 def make_operators(

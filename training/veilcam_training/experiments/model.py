@@ -45,7 +45,6 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         point_binning=settings.binning == "point",
         finer=change.finer,
         tolerance=settings.recipe.tolerance,
-        batch=settings.recipe.batch,
     )
     encoder = make_encoder(
         settings.encoder,
@@ -147,13 +146,7 @@ def make_fresh_camera(
         centres = stream(settings.seed, "centres")
         source = LearnedRange(camera, settings.exponent, settings.spread, centres)
     schedule = MaskSchedule(settings.seed, settings.masks, settings.renewed, settings.misalignment)
-    setup = Setup(
-        camera,
-        shown,
-        frame.embedding,
-        tolerance=settings.tolerance,
-        batch=settings.batch // settings.masks,
-    )
+    setup = Setup(camera, shown, frame.embedding, tolerance=settings.tolerance)
     return FreshCamera(frame, source, setup, schedule)
 
 
