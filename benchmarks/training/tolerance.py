@@ -12,7 +12,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +27,6 @@ from torch.nn.functional import cross_entropy
 
 from veilcam_optics import effects
 from veilcam_optics.camera.geometry import Embedding
-from veilcam_optics.camera.imperfections import IDEAL, half_field
 from veilcam_optics.effects.model import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.regions import Region
@@ -66,9 +65,8 @@ class Dial:
 
     def model(self, setup: Setup) -> Model:
         """The model of the light that the dial stands for."""
-        conditions = replace(IDEAL, off_axis=half_field(setup.scene))
         sampling = Sampling(reach=self.reach, zones=self.zones)
-        model = Model(setup.camera, setup.scene, setup.embedding, conditions, sampling)
+        model = Model(setup.camera, setup.scene, setup.embedding, sampling=sampling)
         for effect in effects.EFFECTS:
             if effect.name in self.without:
                 model = effect.without(model)

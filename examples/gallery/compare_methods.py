@@ -11,7 +11,7 @@ import torch
 from matplotlib.figure import Figure
 
 from veilcam_optics import Camera, Embedding, Reach, Scene, Window, plan, random_mask
-from veilcam_optics.plan.check import check
+from veilcam_optics.simulation.check import check
 from veilcam_optics.simulation.operator import LightOperator
 
 camera, scene = Camera(window=Window(18, 8)), Scene(8, 8, height=0.05)

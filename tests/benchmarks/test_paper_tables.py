@@ -25,7 +25,7 @@ from benchmarks.paper.results import (
 )
 from typer.testing import CliRunner, Result
 
-from veilcam_optics.plan.check import Check
+from veilcam_optics.simulation.check import Check
 from veilcam_training.bundle import read_bundle
 from veilcam_training.config.settings import Settings
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from tests.unit.training.conftest import *  # noqa: F403
 
-from veilcam_optics.plan.check import Check
+from veilcam_optics.simulation.check import Check
 from veilcam_training.cli import main as cli
 from veilcam_training.experiments import fit
 

@@ -19,6 +19,7 @@ from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
+from veilcam_training.cli.bundle import light_line
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source
@@ -48,7 +49,7 @@ def test_keyring_end_to_end(call: Call, source: Source, digit_folder: Path, tmp_
     assert all(pair.transfer_error is not None for pair in bundle.pairs)
     # A terminal breaks lines where it likes.
     told = " ".join(printed.split())
-    assert f"worst transfer against full reach: error {bundle.transfer_error}" in told
+    assert light_line(bundle.light, bundle.transfer_error) in told
     assert 7 in seeds
     # Each pair works behind its own mask and not behind the other's.
     test, share = source.test(), {}
@@ -75,9 +76,9 @@ def test_fit_prints_and_writes(call: Call, digit_folder: Path, tmp_path: Path) -
     assert f"wrote {out}" in printed.replace("\n", "")
     bundle = read_bundle(out)
     assert bundle.task == "mnist"
+    assert bundle.light is not None
     assert bundle.transfer_error is not None
-    told = " ".join(printed.split())
-    assert f"transfer against full reach: error {bundle.transfer_error}" in told
+    assert light_line(bundle.light, bundle.transfer_error) in " ".join(printed.split())
     assert torch.get_num_threads() == 1
 
 
@@ -92,7 +93,7 @@ def test_file_logs_and_other_options(call: Call, digit_folder: Path, tmp_path: P
     printed = call("fit", "--data", digit_folder, *options, "--csv", table)
     assert "lens" in printed
     assert "6x8" in printed
-    assert "full reach" not in printed
+    assert "light:" not in printed
     curves = event_accumulator.EventAccumulator(str(logs))
     curves.Reload()
     assert len(curves.Scalars("accuracy/validation")) == 2

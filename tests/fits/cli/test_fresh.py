@@ -17,7 +17,7 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.cli.main import app
 from veilcam_training.errors import TrainingError
 
-SMALL = 'rank = 20\nclassifier = "CNN4"\n[misalignment]\npanels = 2\n'
+SMALL = 'tolerance = 1e-4\nrank = 20\nclassifier = "CNN4"\n[misalignment]\npanels = 2\n'
 """What a fit spends its time on, made small: nothing that a command says depends on it."""
 
 
@@ -31,6 +31,9 @@ def test_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "on 5 unseen masks" in result.output
     bundle = read_bundle(out)
+    assert bundle.light is not None
+    told = f"planned to 1.0e-04, predicted error {bundle.light.error:.1e} (NOT reached"
+    assert told in " ".join(result.output.split())
     assert bundle.fresh is not None
     assert bundle.provenance["settings"]["seed"] == 2  # type: ignore[index,call-overload]
     assert bundle.embedding == Embedding(3, 4)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from veilcam_optics.decoding.release import ReleaseForm, Whitening
 from veilcam_optics.keys.masks import KEY_BYTES
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.attacks.intervals import (
     Gain,
     Verdict,
@@ -69,11 +69,11 @@ class KeylessCamera(FreshCamera):
     """
 
     def __init__(self, camera: FreshCamera, form: ReleaseForm) -> None:
-        super().__init__(camera.frame, camera.source, camera.setup.scene, camera.schedule)
+        super().__init__(camera.frame, camera.source, camera.setup, camera.schedule)
         self.form = form
 
     def prepare(
-        self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
+        self, weights: Tensor, panels: Sequence[LightOperator], choice: torch.Generator
     ) -> ReleasedMask:
         """Return a mask behind one of ``panels``, and a rotation of its own."""
         mask, whitening = super().prepare(weights, panels, choice), None

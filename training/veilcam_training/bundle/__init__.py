@@ -5,7 +5,7 @@ from veilcam_training.bundle.card import CardRow, Finding, Outcome, PrivacyCard
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
-from veilcam_training.bundle.model import Accuracy, Bundle, Pair, TransferError
+from veilcam_training.bundle.model import Accuracy, Bundle, LightPlan, Pair, TransferError
 from veilcam_training.bundle.network import Network
 from veilcam_training.bundle.signature import OwnerKey, read_key, write_key
 
@@ -18,6 +18,7 @@ __all__ = [
     "Finding",
     "Fresh",
     "LayerRecord",
+    "LightPlan",
     "Network",
     "Outcome",
     "OwnerKey",

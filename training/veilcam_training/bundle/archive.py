@@ -121,6 +121,7 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         ),
         provenance=dict(bundle.provenance),
         accuracy=bundle.accuracy,
+        light=bundle.light,
         parts={name: _sha256(data) for name, data in parts.items()},
     )
     parts = {MANIFEST: dump_manifest(manifest), **parts}
@@ -270,6 +271,7 @@ def _read(path: Path) -> Bundle:
         fresh=None if manifest.fresh is None else load_fresh(manifest.fresh, parts),
         provenance=manifest.provenance,
         accuracy=manifest.accuracy,
+        light=manifest.light,
         channels=manifest.channels,
         version=version,
         owner=owner,

@@ -11,7 +11,7 @@ from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
 from veilcam_training.bundle.layers import LayerRecord
-from veilcam_training.bundle.model import Accuracy, TransferError
+from veilcam_training.bundle.model import Accuracy, LightPlan, TransferError
 
 FORMAT = "veilcam-bundle"
 VERSION = 1
@@ -54,6 +54,8 @@ class Manifest(BaseModel, frozen=True, extra="forbid", strict=True):
     fresh: FreshManifest | None = None
     provenance: dict[str, JsonValue]
     accuracy: Accuracy | None
+    light: LightPlan | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Where the light was planned."""
     parts: dict[str, Digest]
     """SHA-256 of every other part, by its name."""
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pydantic import JsonValue
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.card import PrivacyCard
 from veilcam_training.bundle.classifier import (
     check_weights,
@@ -45,8 +46,46 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
+class LightPlan:
+    """Plan of the light that a bundle was trained with; its numbers are of no mask in particular.
+
+    Attributes:
+        tolerance: relative L2 error asked for, at the embedding.
+        error: relative L2 error predicted, over random masks, the field angle included.
+        reached: True where the prediction is within the tolerance.
+        method: way in which the light is computed.
+        diffraction: False for geometric shadows.
+        reach: distance up to which sub-pixels interfere.
+        zones: parts of the field along each side.
+        step: largest distance of integration nodes [m].
+        dtype: number format.
+    """
+
+    tolerance: float
+    error: float
+    reached: bool
+    method: Literal["transfer"]
+    diffraction: bool
+    reach: Reach
+    zones: int
+    step: float
+    dtype: Literal["float32", "float64"]
+
+    def __post_init__(self) -> None:
+        require(
+            0 < self.tolerance < 1
+            and 0 <= self.error < math.inf
+            and min(self.reach.rows, self.reach.columns) >= 0
+            and self.zones >= 1
+            and 0 < self.step < math.inf,
+            f"light = {self} is not valid: use a tolerance between 0 and 1, an error >= 0, "
+            "a reach >= 0, zones >= 1 and a step > 0",
+        )
+
+
+@dataclass(frozen=True)
 class TransferError:
-    """Relative L2 error of one mask's transfer, estimated.
+    """Relative L2 error of one mask's transfer against the full field, estimated.
 
     Attributes:
         value: value of the estimate.
@@ -84,7 +123,7 @@ class Pair:
     weights: Mapping[str, npt.NDArray[Any]] = field(repr=False)
     """By the names of the ``state_dict`` of torch's ``nn.Sequential``."""
     transfer_error: TransferError | None = None
-    """Of the transfer that the pair was trained with; None if it was not measured."""
+    """Of the transfer as planned, at this mask; None if it was not measured."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +145,8 @@ class Bundle:
     provenance: Mapping[str, JsonValue] = field(default_factory=dict)
     accuracy: Accuracy | None = None
     """Mean over the pairs."""
+    light: LightPlan | None = None
+    """Plan of the scene's light in training, of several grids the worst; None: none is known."""
     channels: Literal[1, 3] = 1
     """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
     version: int = 0

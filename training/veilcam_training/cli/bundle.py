@@ -8,7 +8,15 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from veilcam_training.bundle import OwnerKey, read_bundle, read_key, sign_bundle, write_key
+from veilcam_training.bundle import (
+    LightPlan,
+    OwnerKey,
+    TransferError,
+    read_bundle,
+    read_key,
+    sign_bundle,
+    write_key,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -73,10 +81,27 @@ def show_command(
     if bundle.accuracy is not None:
         named = f"{bundle.accuracy.test_set} ({bundle.accuracy.samples})"
         console.print(f"accuracy {100 * bundle.accuracy.value:.2f} % on {named}", markup=False)
-    if bundle.mode == "pairs":
-        error = bundle.transfer_error
-        told = "not measured" if error is None else f"error {error}"
-        console.print(f"worst transfer against full reach: {told}")
+    console.print(light_line(bundle.light, bundle.transfer_error))
+
+
+def light_line(plan: LightPlan | None, error: TransferError | None) -> str:
+    """Return the line on the light of a fit or a bundle.
+
+    Args:
+        plan: plan of the light; None where there is none.
+        error: error of the worst mask; None where it was not measured.
+    """
+    told = "not planned"
+    if plan is not None:
+        reached = "reached" if plan.reached else "NOT reached: this is the most accurate setting"
+        zones = "1 zone" if plan.zones == 1 else f"{plan.zones} x {plan.zones} zones"
+        reach = f"reach {plan.reach.rows} rows {plan.reach.columns} columns"
+        told = (
+            f"planned to {plan.tolerance:.1e}, predicted error {plan.error:.1e} ({reached}), "
+            f"{zones}, {reach if plan.diffraction else 'geometric shadows'}"
+        )
+    checked = "" if error is None else f"; worst mask by check: error {error}"
+    return f"light: {told}{checked}"
 
 
 def _show(owner: OwnerKey) -> None:

@@ -9,6 +9,7 @@ from rich.console import Console
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.decoding import write_frame
 from veilcam_training.bundle import read_bundle, write_bundle
+from veilcam_training.cli.bundle import light_line
 from veilcam_training.cli.options import (
     Batch,
     Config,
@@ -88,6 +89,7 @@ def fit_fresh_command(
     console.print(
         f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
         f"({100 * result.wrong_key_accuracy:.2f} % decoded with another key)\n"
+        f"{light_line(result.light, None)}\n"
         f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)"
     )
 

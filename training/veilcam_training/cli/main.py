@@ -14,6 +14,7 @@ from veilcam_training.bundle import BundleError, write_bundle
 from veilcam_training.cli.adapt import adapt_command
 from veilcam_training.cli.attack import app as attack_app
 from veilcam_training.cli.bundle import app as bundle_app
+from veilcam_training.cli.bundle import light_line
 from veilcam_training.cli.export import export_command
 from veilcam_training.cli.fresh import fit_fresh_command, frame_command
 from veilcam_training.cli.options import (
@@ -251,8 +252,7 @@ def keyring_command(
             fitted=lambda *_: progress.advance(done),
         )
     write_bundle(out, bundle)
-    if bundle.transfer_error is not None:
-        console.print(f"worst transfer against full reach: error {bundle.transfer_error}")
+    console.print(light_line(bundle.light, bundle.transfer_error))
     if bundle.accuracy is not None:
         console.print(
             f"{pairs} pairs, mean accuracy {100 * bundle.accuracy.value:.2f} % "
@@ -321,5 +321,5 @@ def _show(result: FitResult) -> None:
         f"{100 * result.accuracy.value:.2f} %",
     )
     console.print(table)
-    if result.transfer_error is not None:
-        console.print(f"transfer against full reach: error {result.transfer_error}")
+    if result.light is not None:
+        console.print(light_line(result.light, result.transfer_error))

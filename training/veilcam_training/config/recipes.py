@@ -14,6 +14,7 @@ from veilcam_training.transforms.augmentation import Augmentation
 
 Mixup = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
+Tolerance = Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
 
 
 def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:
@@ -80,6 +81,9 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
     """How the panel errs in training."""
     snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | None = 40.0
     """Signal-to-noise ratio of a measurement [dB]; None for no noise."""
+    tolerance: Tolerance = 3e-3
+    """Relative L2 error that the light is planned to, at the embedding: a third of the noise at
+    40 dB."""
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:

@@ -32,6 +32,7 @@ from veilcam_training.config.recipes import (
     Mixup,
     Recipe,
     Situation,
+    Tolerance,
     find_recipe,
     one_cycle,
 )
@@ -124,6 +125,8 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     misalignment: Misalignment | None = Misalignment()
     model_error: NotNegative = 0.0
     """Relative error of the response that the decoder expects."""
+    tolerance: Tolerance = 3e-3
+    """As in a :class:`Recipe`."""
     classifier: str = "CNN32"
     augmentation: ShearedAugmentation | None = ShearedAugmentation()
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 20

@@ -31,6 +31,8 @@ class Setup:
     point_binning: bool = False
     finer: tuple[Scene, ...] = ()
     """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
+    tolerance: float = 3e-3
+    """Relative L2 error that the light is planned to, at the embedding."""
 
     @property
     def grids(self) -> tuple[Scene, ...]:

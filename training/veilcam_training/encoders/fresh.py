@@ -22,11 +22,12 @@ from veilcam_optics.camera.imperfections import Imperfections, Spreads
 from veilcam_optics.camera.masks import quantise, to_weights
 from veilcam_optics.decoding import Decoder, SceneFrame, SceneStatistics, fit_statistics
 from veilcam_optics.keys.masks import KEY_BYTES, Levels, MaskDistribution, draw_levels
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle import classifier_inputs
 from veilcam_training.data import Images
 from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.imperfections import make_operators
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.seeding import derive, stream
 from veilcam_training.transforms.scene import Transform
@@ -132,7 +133,7 @@ class FreshCamera(Encoder):
     Args:
         frame: the camera, and what is publicly known of scenes and noise.
         source: source of masks; ranges are learned, and take the place of the frame's.
-        shown: the scene before it; what is decoded may have larger pixels.
+        setup: setup of the same camera; the frame's scene may have larger pixels than its own.
         schedule: schedule of masks.
     """
 
@@ -140,17 +141,15 @@ class FreshCamera(Encoder):
         self,
         frame: SceneFrame,
         source: MaskDistribution | LearnedRange,
-        shown: Scene,
+        setup: Setup,
         schedule: MaskSchedule,
     ) -> None:
-        super().__init__(Setup(frame.camera, shown, frame.embedding))
+        super().__init__(setup)
         self._frame, self.source, self.schedule = frame, source, schedule
         self.trainable = isinstance(source, LearnedRange)
         self.decoding = frame.decoding()
         # Held in a dictionary: kernels are constants of the camera and belong in no state_dict.
-        self._panels: dict[str, tuple[TransferOperator, ...]] = {
-            "": (TransferOperator(frame.camera, shown, frame.embedding),)
-        }
+        self._panels: dict[str, tuple[LightOperator, ...]] = {"": make_operators(setup)}
         self.coming: Iterator[tuple[PreparedMask, ...]] = iter(())
         """Masks of the steps to come, e.g. of :meth:`rings`."""
         self._ring: tuple[PreparedMask, ...] = ()
@@ -196,27 +195,21 @@ class FreshCamera(Encoder):
         if isinstance(self.source, LearnedRange):
             self.source.project()
 
-    def panels(self, purpose: str) -> tuple[TransferOperator, ...]:
+    def panels(self, purpose: str) -> tuple[LightOperator, ...]:
         """Return the camera as it may be built: displaced panels, others per purpose."""
         misalignment = self.schedule.misalignment
         if misalignment is None:
             return self._panels[""]
         if purpose not in self._panels:
             random = stream(self.schedule.seed, "panels", purpose)
+            spreads = Spreads(misalignment.shift, misalignment.distance, normal=True)
             self._panels[purpose] = tuple(
-                self._displaced(misalignment, random).to(self._device)
+                make_operators(self.setup, Imperfections.sample(spreads, random))[0].to(
+                    self._device
+                )
                 for _ in range(misalignment.panels)
             )
         return self._panels[purpose]
-
-    def _displaced(self, misalignment: Misalignment, random: torch.Generator) -> TransferOperator:
-        spreads = Spreads(misalignment.shift, misalignment.distance, normal=True)
-        return TransferOperator(
-            self.setup.camera,
-            self.setup.scene,
-            self.setup.embedding,
-            imperfections=Imperfections.sample(spreads, random),
-        )
 
     @property
     def _device(self) -> torch.device:
@@ -227,7 +220,7 @@ class FreshCamera(Encoder):
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         for operator in (self.decoding.operator, *itertools.chain(*self._panels.values())):
             # What nn.Module does to its own children.
-            operator._apply(fn)  # noqa: SLF001
+            operator._apply(fn)  # type: ignore[no-untyped-call] # noqa: SLF001
         known = self.decoding.statistics
         self.decoding.statistics = SceneStatistics(
             fn(known.mean), fn(known.basis), fn(known.residual)
@@ -251,11 +244,12 @@ class FreshCamera(Encoder):
             yield self.prepare(weights.to(self._device), panels, choice)
 
     def prepare(
-        self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
+        self, weights: Tensor, panels: Sequence[LightOperator], choice: torch.Generator
     ) -> PreparedMask:
         """Prepare a mask behind one of ``panels``; differentiable in the weights."""
         panel = panels[int(torch.randint(len(panels), (), generator=choice))]
-        return PreparedMask(panel(weights), self.decoding.prepare(weights))
+        transfer = panel(weights).to(weights.dtype)  # a small tolerance is planned in float64
+        return PreparedMask(transfer, self.decoding.prepare(weights))
 
     def rings(self, *purpose: str | int) -> Iterator[tuple[PreparedMask, ...]]:
         """Yield the masks in use at each step; the oldest are replaced after a few steps."""

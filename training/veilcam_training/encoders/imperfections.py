@@ -1,14 +1,18 @@
-"""Imperfections drawn at random, so that training can expect a real panel."""
+"""Light behind the panel as planned, and imperfections that are drawn at random for training."""
 
+from dataclasses import replace
+from functools import lru_cache
 from typing import Annotated
 
 import torch
 from pydantic import BaseModel, Field
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections, Spreads
-from veilcam_optics.transfer.kernels import Approximation
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.effects import Model, Sampling
+from veilcam_optics.plan import Plan, plan
+from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.encoders.base import Setup
 
@@ -43,35 +47,54 @@ class PanelErrors(BaseModel, frozen=True, extra="forbid", strict=True):
         return Imperfections.sample(spreads).shown(weights)
 
 
+def plan_light(setup: Setup) -> tuple[Plan, ...]:
+    """Return the plan of the light on each grid; none for a measurement at points."""
+    if setup.point_binning:
+        return ()
+    return tuple(
+        _planned(setup.camera, scene, setup.embedding, setup.tolerance) for scene in setup.grids
+    )
+
+
+@lru_cache(maxsize=64)
+def _planned(camera: Camera, scene: Scene, embedding: Embedding, tolerance: float) -> Plan:
+    """Return a plan; every place and every pair of one setup has the same.
+
+    Pixels that are black in all images of a step are left out of its products. So a plan for its
+    whole batch would take zones for cheaper than they are: it is made for the default one.
+    """
+    return plan(camera, scene, embedding, tolerance, method="transfer")
+
+
 def make_operators(
     setup: Setup, imperfections: Imperfections = NOMINAL
-) -> tuple[TransferOperator, ...]:
-    """Transfer operators of ``setup``, one for each grid, with the panel out of place.
+) -> tuple[LightOperator, ...]:
+    """Operators of the light as planned, one for each grid, with the panel out of place.
 
-    A point binning averages the fringes over a scene pixel's image alone, which is several times
-    smaller than an embedding pixel: neighbouring columns and rows of one colour count there too.
+    No plan reads the sensor at points. That averages the fringes over a scene pixel's image alone,
+    which is several times smaller than an embedding pixel: neighbouring columns and rows of one
+    colour count there too.
 
     Args:
         setup: camera, scene and measurement.
         imperfections: imperfections of the camera as built.
     """
+    points = Sampling(binning=False, reach=Reach(3, 1))
+    models = [planned.model for planned in plan_light(setup)] or [
+        Model(setup.camera, scene, setup.embedding, sampling=points) for scene in setup.grids
+    ]
     return tuple(
-        TransferOperator(
-            setup.camera,
-            scene,
-            setup.embedding,
+        LightOperator(
+            replace(model, conditions=replace(model.conditions, imperfections=imperfections)),
             colour=setup.colour,
-            reach=Reach(3, 1) if setup.point_binning else Reach(),
-            approximation=Approximation(point_binning=setup.point_binning),
-            imperfections=imperfections,
         )
-        for scene in setup.grids
+        for model in models
     )
 
 
 def make_places(
     setup: Setup, errors: PanelErrors, generator: torch.Generator
-) -> tuple[tuple[TransferOperator, ...], ...]:
+) -> tuple[tuple[LightOperator, ...], ...]:
     """Operators of the ideal place, and of ``errors.places`` others drawn at random."""
     spreads = Spreads(shift=errors.shift, distance=errors.distance)
     drawn = [

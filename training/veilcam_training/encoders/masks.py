@@ -37,14 +37,14 @@ class Mask(LinearEncoder):
             if self.errors.moves:
                 place = int(torch.randint(1, len(self._operators), (1,)))
         transfer: Tensor = self._operators[place][grid](shown, part)
-        return transfer
+        return transfer.to(shown.dtype)  # a plan for a small tolerance is in float64
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Take the operators along to another device."""
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         for operator in chain.from_iterable(self._operators):
             # What nn.Module does to its own children.
-            operator._apply(fn)  # noqa: SLF001
+            operator._apply(fn)  # type: ignore[no-untyped-call] # noqa: SLF001
         return self
 
     def levels(self) -> npt.NDArray[np.uint8]:
@@ -136,9 +136,8 @@ class FixedMask(Mask):
         self.constant = not errors.any
         self.register_buffer("shown", torch.from_numpy(levels))
         for grid, operator in enumerate(self._operators[0]):
-            self.register_buffer(
-                f"matrix_{grid}", operator(torch.from_numpy(to_weights(levels, panel)))
-            )
+            weights = torch.from_numpy(to_weights(levels, panel))
+            self.register_buffer(f"matrix_{grid}", operator(weights).to(weights.dtype))
 
     def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, a constant as long as the panel does not err."""

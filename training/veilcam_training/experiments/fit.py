@@ -2,7 +2,7 @@
 
 import secrets
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -11,18 +11,18 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import SceneStatistics
-from veilcam_optics.effects import Model, Sampling
+from veilcam_optics.effects import Model
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.plan.check import check
+from veilcam_optics.simulation.check import check
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_training.bundle import Accuracy, TransferError
+from veilcam_training.bundle import Accuracy, LightPlan, TransferError
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
-from veilcam_training.encoders import Mask
+from veilcam_training.encoders import Mask, Setup
 from veilcam_training.encoders.fresh import FreshCamera
+from veilcam_training.encoders.imperfections import plan_light
 from veilcam_training.errors import require
 from veilcam_training.experiments.model import (
     fresh_statistics,
@@ -55,6 +55,12 @@ class FitResult:
     predictions: Tensor
     """Labels of the test set, int64 (count,)."""
 
+    @property
+    def light(self) -> LightPlan | None:
+        """Plan of the light behind a mask; None for another encoder and for points."""
+        encoder = self.fit.model.encoder
+        return light_plan(encoder.setup) if isinstance(encoder, Mask) else None
+
     @cached_property
     def transfer_error(self) -> TransferError | None:
         """Error of the mask's transfer, see :func:`transfer_error`; None if there is none."""
@@ -74,6 +80,11 @@ class FreshResult:
     """How many different masks were tested on, none of which it was fitted to."""
     wrong_key_accuracy: float
     """The same, every measurement decoded with the mask of another epoch."""
+
+    @property
+    def light(self) -> LightPlan | None:
+        """Plan of the light."""
+        return light_plan(self.camera.setup)
 
 
 def run_fit(
@@ -121,13 +132,37 @@ def run_fit(
     )
 
 
-def transfer_error(encoder: Mask) -> TransferError | None:
-    """Return the error of the transfer that a mask was trained with, on the worst grid.
+def light_plan(setup: Setup) -> LightPlan | None:
+    """Return the plan of a setup's light, of the grid with the largest predicted error.
 
-    What training leaves out is interference of sub-pixels far apart, and what is between two
-    integration nodes; the field's angle and how a panel errs are no part of it. In colour it is the
-    error of the three channels' sum. Two digits of it are kept: no more is known, and the less of a
-    mask leaves the better.
+    Args:
+        setup: setup of an encoder with a mask.
+
+    Returns:
+        None for a measurement at points, which has no plan.
+    """
+    worst = max(plan_light(setup), key=lambda found: found.error, default=None)
+    if worst is None:
+        return None
+    sampling = worst.model.sampling
+    return LightPlan(
+        tolerance=worst.tolerance,
+        error=worst.error,
+        reached=worst.reached,
+        method="transfer",
+        diffraction=sampling.diffraction,
+        reach=sampling.reach,
+        zones=sampling.zones,
+        step=sampling.step,
+        dtype="float64" if sampling.dtype == torch.float64 else "float32",
+    )
+
+
+def transfer_error(encoder: Mask) -> TransferError | None:
+    """Return the error of a mask's transfer as planned against the full field, on the worst grid.
+
+    How a panel errs is no part of it. In colour it is the error of the three channels' sum. Two
+    digits of it are kept: no more is known, and the less of a mask leaves the better.
 
     Args:
         encoder: encoder with the mask.
@@ -136,24 +171,28 @@ def transfer_error(encoder: Mask) -> TransferError | None:
         None for a measurement at points, of which there is no full field, and where a check would
         take minutes.
     """
-    setup = encoder.setup
-    if setup.point_binning:
+    plans = plan_light(encoder.setup)
+    if not plans:
         return None
-    weights = torch.from_numpy(to_weights(encoder.levels(), setup.camera.panel))
-    # A scene much larger than the images is trained on in parts: its whole matrix may be too large.
-    factors = Sampling(method="factors")
-    models = [
-        Model(setup.camera, scene, setup.embedding, PARAXIAL, factors) for scene in setup.grids
-    ]
+    weights = torch.from_numpy(to_weights(encoder.levels(), encoder.setup.camera.panel))
     try:
         checks = [
-            check(LightOperator(model), model, weights, entries=CHECKED_ENTRIES) for model in models
+            check(_by_factors(found.model), found.asked, weights, entries=CHECKED_ENTRIES)
+            for found in plans
         ]
     except OpticsError:  # too many fringes: hours of fitting are not lost to that
         return None
     worst = max(checks, key=lambda found: found.error)
     error, low, high = (float(f"{value:.2g}") for value in (worst.error, worst.low, worst.high))
     return TransferError(error, low, high, worst.confidence)
+
+
+def _by_factors(model: Model) -> LightOperator:
+    """Return the operator of a model without the whole matrix.
+
+    A scene much larger than the images is trained on in parts: its matrix may be too large.
+    """
+    return LightOperator(replace(model, sampling=replace(model.sampling, method="factors")))
 
 
 def run_fresh(

@@ -27,7 +27,7 @@ from veilcam_training.encoders import Mask
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import HERE, Executor
-from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
+from veilcam_training.experiments.fit import FitResult, FreshResult, light_plan, run_fit
 from veilcam_training.experiments.model import make_fresh_model, make_model, no_statistics
 from veilcam_training.experiments.records import provenance
 from veilcam_training.models.lensless import LenslessClassifier
@@ -231,6 +231,7 @@ def _of_pairs(
         pairs=tuple(pairs),
         provenance=record,
         accuracy=accuracy,
+        light=light_plan(setup),
     )
 
 
@@ -281,4 +282,5 @@ def _of_fresh(
         ),
         provenance=record,
         accuracy=accuracy,
+        light=light_plan(encoder.setup),
     )

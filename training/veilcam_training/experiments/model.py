@@ -44,6 +44,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         colour=source.colour,
         point_binning=settings.binning == "point",
         finer=change.finer,
+        tolerance=settings.recipe.tolerance,
     )
     encoder = make_encoder(
         settings.encoder,
@@ -145,7 +146,8 @@ def make_fresh_camera(
         centres = stream(settings.seed, "centres")
         source = LearnedRange(camera, settings.exponent, settings.spread, centres)
     schedule = MaskSchedule(settings.seed, settings.masks, settings.renewed, settings.misalignment)
-    return FreshCamera(frame, source, shown, schedule)
+    setup = Setup(camera, shown, frame.embedding, tolerance=settings.tolerance)
+    return FreshCamera(frame, source, setup, schedule)
 
 
 def make_fresh_model(

@@ -28,10 +28,12 @@ from tests.unit.training.bundle.conftest import (
 )
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle import (
     Accuracy,
     Bundle,
     BundleError,
+    LightPlan,
     Pair,
     TransferError,
     archive,
@@ -81,6 +83,7 @@ def make_bundle() -> Bundle:
         pairs=(make_pair(1), make_pair(2)),
         provenance={"seed": 1, "recipe": {"epochs": 2, "rates": [0.1, None]}},
         accuracy=Accuracy(0.9, "MNIST", 10_000),
+        light=LightPlan(3e-3, 1.3e-3, True, "transfer", True, Reach(0, 1), 2, 1.7e-6, "float32"),
     )
 
 
@@ -128,10 +131,12 @@ def test_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measured(
 ) -> None:
     bundle = make_bundle()
     pairs = tuple(dataclasses.replace(pair, transfer_error=None) for pair in bundle.pairs)
-    write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
-    told = json.loads(unpack(path)["bundle.json"])["pairs"]
-    assert [set(pair) for pair in told] == 2 * [{"layers"}]
+    write_bundle(path, dataclasses.replace(bundle, pairs=pairs, light=None))
+    told = json.loads(unpack(path)["bundle.json"])
+    assert "light" not in told
+    assert [set(pair) for pair in told["pairs"]] == 2 * [{"layers"}]
     assert [pair.transfer_error for pair in read_bundle(path).pairs] == [None, None]
+    assert read_bundle(path).light is None
 
 
 def test_classifier_is_the_module_that_was_trained() -> None:
@@ -251,6 +256,10 @@ def test_part_that_is_no_safetensors(path: Path, data: bytes, reason: str) -> No
         (lambda m: m["pairs"][0]["transfer_error"].update(high=1e-4), "transfer_error"),
         (lambda m: m["pairs"][0]["transfer_error"].update(confidence=90.0), "transfer_error"),
         (lambda m: m["pairs"][0]["transfer_error"].update(mask=[1]), "transfer_error"),
+        (lambda m: m["light"].update(tolerance=1.0), "light"),
+        (lambda m: m["light"].update(error=-1e-3), "light"),
+        (lambda m: m["light"].update(method="grid"), "light.method"),
+        (lambda m: m["light"]["reach"].update(rows=-1), "light"),
         (lambda m: m["pairs"][0]["layers"][1].update(kind="pickle"), "pickle"),
         (lambda m: m["pairs"][0]["layers"][2].update(outputs=10**9), "outputs"),
         (lambda m: m["pairs"][0]["layers"][2].update(outputs=11), "11,"),

@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.demo_data import BUNDLE
 from veilcam_training.bundle import (
     BundleError,
+    LightPlan,
     OwnerKey,
     TransferError,
     read_bundle,
@@ -61,17 +63,16 @@ def test_bundle_is_shown(tmp_path: Path) -> None:
     assert bundle.accuracy is not None
     error = TransferError(6.2e-4, 4.1e-4, 9.3e-4, 0.9)
     pairs = tuple(replace(pair, transfer_error=error) for pair in bundle.pairs)
-    write_bundle(file, replace(bundle, pairs=pairs))
+    light = LightPlan(3e-3, 1.7e-3, True, "transfer", True, Reach(0, 1), 1, 1.7e-6, "float32")
+    write_bundle(file, replace(bundle, pairs=pairs, light=light))
     said = run("show", file)
     rows, columns = bundle.embedding.shape
     assert f"{bundle.task}, {rows}x{columns}, mode pairs, {len(pairs)} masks" in said
     assert f"version 0, {read_bundle(file).digest[:12]}\nnot signed\n" in said
     assert f"accuracy {100 * bundle.accuracy.value:.2f} % on {bundle.accuracy.test_set}" in said
-    assert f"worst transfer against full reach: error {error}\n" in said
+    planned = "light: planned to 3.0e-03, predicted error 1.7e-03 (reached), 1 zone, "
+    assert f"{planned}reach 0 rows 1 columns; worst mask by check: error {error}\n" in said
+    assert "light: not planned\n" in run("show", BUNDLE)
     owner = run("keygen", key).splitlines()[-1]
     run("sign", file, "--key", key, "--version", "3")
     assert f"version 3, {read_bundle(file).digest[:12]}\n{owner}\n" in run("show", file)
-
-
-def test_of_an_older_bundle_the_error_is_not_known() -> None:
-    assert "worst transfer against full reach: not measured" in run("show", BUNDLE)
