@@ -20,13 +20,12 @@ from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.imperfections import Conditions as Optical
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.effects import Model, Sampling
-from veilcam_optics.plan import Plan
+from veilcam_optics.plan import Plan, plan
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_optics.transfer.tables import Reach
 from veilcam_server.devices import SensorError, SensorTimeoutError
 from veilcam_server.devices.base import Measurement
-from veilcam_server.devices.simulated import device as simulated
 from veilcam_server.devices.simulated.device import (
     DECODERS_TOLERANCE,
     TOLERANCE,
@@ -145,13 +144,13 @@ def test_light_is_within_its_predicted_error(imperfections: Imperfections) -> No
 
 
 def test_light_that_takes_long_is_as_coarse_as_a_decoders(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, plan = [], simulated.plan
+    asked: list[float] = []
 
     def planned(*where: Any, **how: Any) -> Plan:
         asked.append(where[3])
         return plan(*where, **how)
 
-    monkeypatch.setattr(simulated, "plan", planned)
+    monkeypatch.setattr("veilcam_server.devices.simulated.device.plan", planned)
     planned_light(CAMERA, SCENE, EMBEDDING)
     planned_light(Camera(), Scene(), Embedding())
     assert asked == [TOLERANCE, TOLERANCE, DECODERS_TOLERANCE]
