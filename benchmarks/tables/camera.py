@@ -4,20 +4,6 @@ from __future__ import annotations
 
 from benchmarks.tables.table import Figures
 
-DISTANCE: Figures = {
-    f"distance_{light}_um": (
-        "daemon-calibration",
-        f"distance found, over the true one: {words}",
-        "{:.1f} um",
-    )
-    for light, words in {
-        "grid_1": "light off the simulated camera's grid",
-        "grid_2": "off one twice as fine",
-        "grid_4": "off one four times as fine",
-        "transfer": "light by the operator",
-    }.items()
-}
-
 SERVED: Figures = {
     f"served_{when}": ("daemon-calibration", f"digits that a daemon reads {words}", "{:.0%}")
     for when, words in {

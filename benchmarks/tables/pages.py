@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
-from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
+from benchmarks.tables.camera import CALIBRATED, SERVED
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.heads import HEADS
@@ -32,7 +32,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
-    "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
+    "docs/calibration.md": [SERVED, CALIBRATED],
     "docs/training.md": [HEADS],
     "docs/watch.md": [BELIEF],
 }

@@ -60,7 +60,7 @@ from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
 from veilcam_server.system.logs import log_defect
-from veilcam_server.system.memory import forbid_core_files
+from veilcam_server.system.memory import forbid_core_files, no_garbage
 from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.system.systemd import notify
 from veilcam_server.watch.watcher import open_watch
@@ -233,7 +233,8 @@ def _serve(
     tls = None
     if settings.tls_certificate is not None and settings.tls_key is not None:
         tls = server_context(settings.tls_certificate, settings.tls_key)
-    service = build_service(settings)
+    with no_garbage():
+        service = build_service(settings)
     try:
         with open_admission(settings, service.report) as admission:
             gate = open_gate(settings)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from benchmarks.daemon import demo, overhead, sse
+from benchmarks.daemon import demo, light, overhead, sse
 from benchmarks.people.zone import seen_after
 from rich.console import Console
 from tests.benchmarks.conftest import figures_of
@@ -40,6 +40,15 @@ def test_listeners_of_a_daemon_miss_nothing(
     sse.main(listeners=6, seconds=0.5, figures=figures)
     assert "who did not read: 0 missed" in capsys.readouterr().out
     assert json.loads(figures.read_text())["sse_gaps"]["value"] == 0
+
+
+@pytest.mark.thorough
+def test_figures_of_the_simulated_light(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    light.main(quick=True, figures=figures)
+    record = figures_of(figures)
+    assert 0 < record["simulated_light_error_over_tolerance"] < 1
+    assert len(record) == 4
 
 
 @pytest.mark.parametrize(

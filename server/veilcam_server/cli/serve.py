@@ -21,11 +21,13 @@ def serve(settings: Settings) -> None:
     # Imported late: --help need not wait for them.
     from veilcam_server.system import logs  # noqa: PLC0415
     from veilcam_server.system.listeners import require_free  # noqa: PLC0415
+    from veilcam_server.system.memory import no_garbage  # noqa: PLC0415
 
     try:
         require_free(settings)
         # Nor need torch be waited for, to be told that the port is occupied.
-        from veilcam_server.daemon import serve as run  # noqa: PLC0415
+        with no_garbage():
+            from veilcam_server.daemon import serve as run  # noqa: PLC0415
 
         # Root could read what the daemon's user cannot, and what it made would be root's.
         enter_state(settings.state_dir)

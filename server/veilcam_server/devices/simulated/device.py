@@ -1,9 +1,9 @@
 """A simulated camera: the real drivers on an emulated panel and a fake picamera2.
 
 What is read came through bytes on a bus, the panel's memory, its crystal, light, raw frames of
-12 bits and their binning. The light is a plan's, finer than what decoders assume, and takes the
-grid path of the optics (field, propagation, point spread function, convolution), which is not the
-transfer operator that training uses.
+12 bits and their binning. The light is that of a plan with a tenth of the tolerance that decoders
+are trained with, as far as a start and a capture have time for it, and with imperfections of its
+own. The plan says which path of the optics it takes, and how far off it is.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import structlog
 import torch
 
 from veilcam_client.wire.simulation import Faults
-from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_optics.camera.imperfections import Conditions as Optical
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
+from veilcam_optics.plan.cost import cost
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_server.devices import imx477, st7735r
@@ -38,7 +40,7 @@ from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
 from veilcam_server.system.memory import share_one_heap
 
 _CACHED_MASKS = 3
-"""Masks whose light is kept, of 4.5 MiB each: opaque, open, and the one that is shown."""
+"""Masks whose light is kept: opaque, open, and the one that is shown."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
 _FINER = 4
@@ -49,8 +51,14 @@ _SWITCHES = 16
 _HEADROOM = 1.1
 """What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
-TOLERANCE = 0.025
-"""Relative error of the simulated light: it has to be right, not the same as the decoder's."""
+DECODERS_TOLERANCE = 3e-3
+"""Relative error of the light that decoders are trained with."""
+TOLERANCE = DECODERS_TOLERANCE / 10
+"""Relative error that is asked of the simulated light; few cameras' light gets so near."""
+_LONGEST_BUILD, _LONGEST_CAPTURE = 1000.0, 8.0
+"""Predicted times above which the light is as coarse as the decoders' [ms]."""
+
+log = structlog.get_logger()
 
 Number = TypeVar("Number", bound=np.generic)
 
@@ -94,10 +102,18 @@ def planned_light(
         embedding: embedding that is read.
         imperfections: imperfections that a decoder need not know of.
     """
-    # Decoders take the scene for paraxial, and so does what is simulated for them.
-    conditions = replace(optical.PARAXIAL, imperfections=imperfections)
-    chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
-    return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
+    conditions = Optical(imperfections=imperfections)
+    for tolerance in (TOLERANCE, DECODERS_TOLERANCE):
+        chosen = plan(camera, scene, embedding, tolerance, conditions, batch=1)
+        model = replace(chosen.model, embedding=Embedding(*raw_shape(embedding)))
+        if model.sampling.method == "transfer":
+            # The same light, without a matrix of all raw pixels for every mask.
+            model = replace(model, sampling=replace(model.sampling, method="factors"))
+        spent = cost(model, batch=1)
+        if spent.build_ms <= _LONGEST_BUILD and spent.step_ms <= _LONGEST_CAPTURE:
+            break
+    log.info("simulated light", method=model.sampling.method, predicted_error=chosen.error)
+    return LightOperator(model)
 
 
 @dataclass(frozen=True, slots=True)
