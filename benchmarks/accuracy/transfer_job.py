@@ -10,16 +10,14 @@ from torch import Tensor
 
 from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
 from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
-from benchmarks.accuracy.reference import (
-    TransferBinning,
-    reference_transfer,
-    sampled_psf,
-)
+from benchmarks.accuracy.reference import reference_transfer, sampled_psf
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
+from veilcam_optics.transfer.binning import TransferBinning
+from veilcam_optics.transfer.field_angle import fading
 from veilcam_optics.transfer.grid import GridLight, sample_pitch
+from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
 
@@ -77,16 +75,28 @@ class TransferJob:
         )
         shares = torch.tensor(self.camera.sensor.channel_weights, dtype=dtype)
         mask = self.weights.to(dtype)
-        return Prepared(lambda: binning(torch.einsum("c,cyx->yx", shares, psf(mask))))
+        # One PSF has no angle: what it gives fades over the field.
+        fade = torch.from_numpy(fading(self.scene)).to(dtype).reshape(-1, 1)
+        return Prepared(lambda: fade * binning(torch.einsum("c,cyx->yx", shares, psf(mask))))
 
     def _reference(self) -> Tensor:
-        return reference_transfer(
-            self.camera,
-            self.scene,
-            self.embedding,
-            self.weights,
-            oversampling=32,
+        """The whole field, brightened and faded as the angle of each scene pixel has it."""
+        whole = reference_transfer(
+            self.camera, self.scene, self.embedding, self.weights, oversampling=32
         )
+        with torch.no_grad():
+            oblique, axial = (
+                TransferOperator(
+                    self.camera,
+                    self.scene,
+                    self.embedding,
+                    approximation=Approximation(axial=axial),
+                    dtype=torch.float64,
+                )(self.weights.double())
+                for axial in (False, True)
+            )
+        reference: Tensor = whole * oblique / axial
+        return reference
 
     def _operators(self) -> Iterator[Setting]:
         dials = [(Reach(0, 0), 1.55e-6), (Reach(3, 0), 1.55e-6), (Reach(3, 1), 1.55e-6)]
@@ -143,8 +153,7 @@ class TransferJob:
             )
 
     def _prepare_plan(self, tolerance: float) -> Prepared:
-        # The reference has no field angle.
-        chosen = plan(self.camera, self.scene, self.embedding, tolerance, PARAXIAL)
+        chosen = plan(self.camera, self.scene, self.embedding, tolerance)
         operator = chosen.operator
         weights = self.weights.to(chosen.model.sampling.dtype)
         if operator.has_transfer:

@@ -45,11 +45,10 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
 from veilcam_optics.camera.imperfections import (
+    IDEAL,
     NOMINAL,
-    PARAXIAL,
     Conditions,
     Imperfections,
-    half_field,
 )
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import Plan, plan
@@ -70,7 +69,7 @@ def rivals(case: Case, chosen: Plan) -> Iterator[Model]:
     leaks = [case.camera]
     if case.camera.panel.filter_cycle and case.camera.panel.filter_leakage:
         leaks.append(replace(case.camera, panel=replace(case.camera.panel, filter_leakage=0.0)))
-    there = (any(conditions.bandwidth), conditions.depth_range > 0, bool(conditions.off_axis))
+    there = (any(conditions.bandwidth), conditions.depth_range > 0, True)
     # Where several are there, a setting takes up to a minute to make.
     samples = (1, 2, 3, 5) if sum(there) < 2 else (1, 3)
     spectra, layers, zones = (samples if each else (1,) for each in there)
@@ -227,7 +226,6 @@ def everything() -> Conditions:
     return Conditions(
         bandwidth=(40e-9,) * 3,
         depth_range=0.1,
-        off_axis=half_field(Scene()),
         imperfections=Imperfections(
             gamma=1.1,
             contrast_floor=0.03,
@@ -339,7 +337,7 @@ def describe(result: Result) -> str:
     sampling = chosen.model.sampling
     conditions = [
         name
-        for given, usual in ((case.conditions, PARAXIAL), (case.conditions.imperfections, NOMINAL))
+        for given, usual in ((case.conditions, IDEAL), (case.conditions.imperfections, NOMINAL))
         for name in given.__dataclass_fields__
         if getattr(given, name) != getattr(usual, name)
     ]

@@ -101,7 +101,7 @@ class Plan:
             seed: seed of the draw.
 
         Raises:
-            OpticsError: as :func:`~veilcam_optics.plan.check.check` says.
+            OpticsError: as :func:`~veilcam_optics.simulation.check.check` says.
         """
         return check(self.operator, self.asked, weights, entries=entries, seed=seed)
 

@@ -13,6 +13,7 @@ from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
 from veilcam_optics.pictures import KINDS, SUFFIXES, PictureError, read_picture, used_range
 from veilcam_optics.propagation.sampling import axis, coverage
 from veilcam_optics.transfer.binning import TransferBinning
+from veilcam_optics.transfer.field_angle import fading
 from veilcam_training.data.base import UNREADABLE
 from veilcam_training.encoders.base import FixedEncoder, Setup
 from veilcam_training.errors import TrainingError, require
@@ -59,7 +60,8 @@ def _transfer(setup: Setup, scene: Scene, psf: Psf) -> Tensor:
     if not setup.colour:
         shares = torch.tensor(camera.sensor.channel_weights, dtype=channels.dtype)
         channels = torch.einsum("c,cpe->pe", shares, channels)
-    return channels.float()
+    fade = torch.from_numpy(fading(scene)).reshape(-1, 1)
+    return (channels * fade).float()
 
 
 def point_transfer(

@@ -73,7 +73,7 @@ def one_aperture(distance: float, pixel: float, shift: float = 0.0) -> Model:
     panel = replace(bare(1e-3, 6e-4), rows=1, columns=1)
     camera = Camera(panel, Window(1, 1, 0, 0), Sensor(8, 8, pixel / 8), distance)
     moved = Imperfections(shift_y=shift)
-    scene = Scene(1, 1, distance / 100, 10 * distance)
+    scene = Scene(1, 1, distance, 1e3 * distance)
     return Model(camera, scene, Embedding(1, 1), Conditions(imperfections=moved))
 
 
