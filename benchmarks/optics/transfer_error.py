@@ -14,6 +14,7 @@ from benchmarks.accuracy.reference import reference_transfer
 from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
 
 
@@ -27,7 +28,9 @@ def main(
     camera, scene, embedding = Camera(), Scene(), Embedding()
     weights = example_mask(camera)
     truth = reference_transfer(camera, scene, embedding, weights, oversampling=oversampling)
-    error = relative_error(TransferOperator(camera, scene, embedding)(weights.float()), truth)
+    axial = Approximation(axial=True)
+    operator = TransferOperator(camera, scene, embedding, approximation=axial)
+    error = relative_error(operator(weights.float()), truth)
     print(f"transfer error against {oversampling}x: {error:.2e}")
     record(figures, {"transfer_error_24x32": float(f"{error:.3g}")})
 

@@ -356,7 +356,7 @@ def _in_pixels(model: Model) -> tuple[Tensor, Tensor]:
 def brightness_errors(model: Model, count: int | None) -> Tensor:
     """Squares of the relative error of the brightness over the mask, for every scene pixel.
 
-    Factors along y and x stand for equation (9): each takes the tangent along the other axis for
+    Factors along y and x stand for it: each takes the tangent along the other axis for
     its root mean square in a zone. Without zones, the mask is taken for evenly bright.
 
     Args:

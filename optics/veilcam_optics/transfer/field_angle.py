@@ -1,4 +1,4 @@
-"""Brightness of oblique light: equation (9) of docs/mathematics.md.
+"""Brightness of oblique light: "Off the axis" in docs/mathematics.md.
 
 Light from a scene point at the tangent ``t`` of the field angle is fainter by the fourth power of
 the cosine: a cosine for Lambert's law, two for the distance, one for the tilt of the sensor.

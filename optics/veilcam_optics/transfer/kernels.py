@@ -235,7 +235,7 @@ class Axis(Generic[Array]):
     def brightness(self, of: Array) -> Array:
         """Return amplitudes of the light at apertures, over that at the middle of the mask.
 
-        Equation (9) of docs/mathematics.md.
+        See "Off the axis" in docs/mathematics.md.
 
         Args:
             of: indices of apertures.

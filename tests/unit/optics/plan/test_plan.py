@@ -367,15 +367,3 @@ def test_light_at_large_angles_is_in_the_budget() -> None:
     assert not found["non-paraxial diffraction"].matters
     assert not chosen.reached
     assert "non-paraxial diffraction" in chosen.explain()
-
-
-def test_far_interference_that_was_not_looked_at_is_bounded() -> None:
-    """Fringes wider than pixels do not fade with what is apart: every pair may count."""
-    panel = bare(3e-6, 3e-6)
-    camera = Camera(panel=panel, window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3)
-    scene = Scene(2, 2, height=0.005)
-    chosen = plan(camera, scene, Embedding(16, 16), 1e-2)
-    weights = mask(camera)
-    truth = reference_transfer(camera, scene, Embedding(16, 16), weights, oversampling=16)
-    measured = relative(axial(chosen)(weights).double(), truth)
-    assert measured < 2 * chosen.error

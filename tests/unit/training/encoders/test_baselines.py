@@ -7,6 +7,7 @@ import torch
 
 from veilcam_optics.apertures import mls_cells
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
+from veilcam_optics.transfer.field_angle import fading
 from veilcam_training.encoders import PsfEncoder, Setup
 from veilcam_training.encoders import baselines as b
 from veilcam_training.encoders.psf import Psf, point_transfer
@@ -84,4 +85,5 @@ def test_point_binning_is_a_fine_area_measurement_at_the_same_place() -> None:
     middle = matrix[..., 30::61, 30::61].flatten(2)
     image = scene.pixel_at_sensor(CAMERA)
     point = point_transfer(psf, CAMERA.sensor, scene, Embedding(3, 4), image=image)
+    point = point * torch.from_numpy(fading(scene)).reshape(-1, 1)
     torch.testing.assert_close(point.float(), middle, rtol=0.02, atol=0.01 * float(middle.max()))
