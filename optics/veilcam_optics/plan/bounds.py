@@ -16,8 +16,8 @@ from veilcam_optics.plan.cost import meetings, nodes
 from veilcam_optics.transfer.entries import node_count
 from veilcam_optics.transfer.tables import Reach
 
-_MAX_VALUES = 400_000
-"""Field values in the boxes of one axis: some 30 ms. Pairs that need more are bounded alone."""
+_MAX_VALUES = 250_000
+"""Field values in the boxes of one axis: some 20 ms. Pairs that need more are bounded alone."""
 
 _OFFSETS, _LINES = 6, 64
 """Offsets, and lines of the mask, in whose boxes one aperture's fringes are resolved at least."""

@@ -1,6 +1,7 @@
 """Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
 import math
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -74,6 +75,10 @@ class Interferences:
     model: Model
 
 
+_PLANNING_S = 1.0
+"""Time of the processor after which nothing finer is looked at [s]."""
+
+
 class ErrorModel:
     """Compares models with the one that has everything; see :class:`~...effects.Comparison`.
 
@@ -84,6 +89,7 @@ class ErrorModel:
 
     def __init__(self, model: Model, tolerance: float) -> None:
         self.tolerance = tolerance
+        self._began = time.process_time()
         self._small = max(tolerance, _LEAST_TOLERANCE) / 10
         self._probe = Probe(model)
         self._exact_transfers: dict[tuple[Probe, tuple[int, ...] | None], Tensor] = {}
@@ -112,6 +118,11 @@ class ErrorModel:
         seen = float(self._probe.transfer(shadows).norm())
         centred = float(self._probe.transfer(MaskShift().without(shadows)).norm())
         return max(1.0, centred / seen) if seen else math.inf
+
+    @property
+    def late(self) -> bool:
+        """Whether planning has taken so long that nothing finer is looked at."""
+        return time.process_time() - self._began > _PLANNING_S
 
     def interferences(self, model: Model) -> Interferences:
         """Errors of every reach: near pairs are counted, and what is farther apart is bounded."""

@@ -23,6 +23,7 @@ from veilcam_optics.errors import require, require_count
 from veilcam_optics.plan.bounds import check_lit
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
+from veilcam_optics.plan.probe import cropped
 from veilcam_optics.plan.search import Candidate, search
 from veilcam_optics.simulation.check import Check, check
 from veilcam_optics.simulation.operator import LightOperator
@@ -50,6 +51,7 @@ class Plan:
         assessments: every effect, on or off, and why.
         coarser: next setting that is cheaper and less accurate, if there is one.
         finer: next setting that is dearer and more accurate, if there is one.
+        bounds: bounds of planning that were met, in words.
     """
 
     model: Model
@@ -62,6 +64,7 @@ class Plan:
     assessments: tuple[Assessment, ...]
     coarser: Candidate | None = None
     finer: Candidate | None = None
+    bounds: tuple[str, ...] = ()
 
     @cached_property
     def operator(self) -> LightOperator:
@@ -176,7 +179,18 @@ def plan(
         assessments=_assess(complete, chosen, errors, batch),
         coarser=choice.coarser,
         finer=choice.finer,
+        bounds=_bounds_met(error_model, asked),
     )
+
+
+def _bounds_met(error_model: ErrorModel, asked: Model) -> tuple[str, ...]:
+    """Say which bounds of planning were met."""
+    met = ["time: no finer sampling was looked at"] if error_model.late else []
+    rows, columns = asked.camera.mask_shape
+    seen = cropped(asked).camera.mask_shape
+    if seen != (rows, columns):
+        met.append(f"window: errors are those of the middle {seen[0]} x {seen[1]} sub-pixels")
+    return tuple(met)
 
 
 def _assess(
@@ -255,6 +269,7 @@ def setting(plan: Plan) -> list[tuple[str, str]]:
             (name, "none" if other is None else f"error {other.error:.1e}, {_time(other.cost)}")
             for name, other in (("one step coarser", plan.coarser), ("one step finer", plan.finer))
         ),
+        *(("bound met", bound) for bound in plan.bounds),
         ("not there", ", ".join(a.name for a in plan.assessments if not a.present) or "nothing"),
     ]
 

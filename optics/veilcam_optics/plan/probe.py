@@ -34,7 +34,7 @@ from veilcam_optics.transfer.tables import Beam, make_axes
 _OFFSETS = 12
 """Offsets kept of each axis."""
 
-_MANY = 500
+_MANY = 200
 """Weights of a mask whose light is about alike everywhere: two thirds of the offsets will do."""
 
 _WEIGHTS = 4000

@@ -104,7 +104,7 @@ def search(
     if method != "grid":
         settings = list(_matrices(error_model, model, errors, field, tolerance))
         found = _candidates(settings, batch, method, _FARTHEST * tolerance)
-    if method in (None, "grid"):
+    if method == "grid" or (method is None and not (found and error_model.late)):
         # Grids are judged by being used, which takes a while: only those that would be faster are.
         reaching = [c.cost.rank for c in _fitting(found) if error_model.read(c.error) <= tolerance]
         below = min(reaching, default=math.inf)
@@ -275,7 +275,9 @@ def _field(
         for count in counts:
             if options and options[-1].error <= 0.02 * tolerance:
                 break  # finer is needlessly fine
-            if name == "zones" and count > max(model.scene.shape):
+            if (name == "zones" and count > max(model.scene.shape)) or (
+                options and error_model.late
+            ):
                 break
             left = (
                 error_model.off_axis(count) if name == "zones" else error_model.sampled(name, count)
