@@ -207,7 +207,6 @@ def test_shift_equivariance_of_the_transfer(axis: str) -> None:
         moved, still = moved[:, 1:], still[:, :-1]
     else:
         moved, still = moved[..., 1:], still[..., :-1]
-    # The integration nodes do not move along.
     assert relative(moved, still) < 1e-3
 
 
