@@ -4,8 +4,8 @@
 
 Decoder, classifier, filter and thresholds are the daemon's own; what lies between them, HTTP and
 the event loop, is left out. Every look is behind another one of several hundred fresh masks. Light
-is computed with the matrix that the decoder inverts; ``grid`` compares that with the grid path, by
-which the daemon's simulated camera sees. ``fix`` shows what the numbers of the filter come from.
+is computed with the matrix that the decoder inverts; ``grid`` compares that with the light by which
+the daemon's simulated camera sees. ``fix`` shows what the numbers of the filter come from.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def odd(*, count: int = 200, held: int = 8, seed: int = TESTING) -> None:
 
 @app.command()
 def grid(*, count: int = 120, masks: int = 12, seed: int = TESTING) -> None:
-    """Compare looks by the matrix with those by the grid path, which sees as the daemon does."""
+    """Compare looks by the matrix with those by the light of the daemon."""
     draw, rig = np.random.default_rng(seed), Rig(seed, masks)
     digits = unseen_digits()
     chosen = draw.choice(len(digits), count, replace=False)
@@ -224,7 +224,7 @@ def grid(*, count: int = 120, masks: int = 12, seed: int = TESTING) -> None:
     light = np.median([b.light / a.light for a, b in zip(matrix, path, strict=True)])
     print(
         f"{count} digits: the same label for {100 * same:.1f} %; light {light:.4f} times; novelty "
-        f"{novelty[0]:.2f} by the matrix, {novelty[1]:.2f} by the grid path in the median, "
+        f"{novelty[0]:.2f} by the matrix, {novelty[1]:.2f} by the daemon's light in the median, "
         f"{max(each.novelty or 0 for each in path):.2f} at most"
     )
 

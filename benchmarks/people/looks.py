@@ -105,7 +105,7 @@ class Rig:
         return self._read(torch.from_numpy(scenes).flatten(1) @ mask.transfer, mask)
 
     def look_by_grid(self, scenes: Scenes, masks: int) -> tuple[list[Evidence], list[Evidence]]:
-        """The same scenes behind the same masks: by the matrix, and by the daemon's grid path."""
+        """The same scenes behind the same masks: by the matrix, and by the daemon's light."""
         grid = planned_light(self.bundle.camera, self.bundle.scene, self.bundle.embedding)
         by_matrix, by_grid = [], []
         for mask, some in zip(self.masks, np.array_split(scenes, masks), strict=False):
