@@ -75,9 +75,12 @@ class TransferJob:
         )
         shares = torch.tensor(self.camera.sensor.channel_weights, dtype=dtype)
         mask = self.weights.to(dtype)
-        # One PSF has no angle: what it gives fades over the field.
-        fade = torch.from_numpy(fading(self.scene)).to(dtype).reshape(-1, 1)
+        fade = self.fade(dtype)
         return Prepared(lambda: fade * binning(torch.einsum("c,cyx->yx", shares, psf(mask))))
+
+    def fade(self, dtype: torch.dtype) -> Tensor:
+        """Share of each scene pixel's light, (scene pixels, 1): one PSF knows no angle."""
+        return torch.from_numpy(fading(self.scene)).to(dtype).reshape(-1, 1)
 
     def _reference(self) -> Tensor:
         """The whole field, brightened and faded as the angle of each scene pixel has it."""
@@ -180,6 +183,6 @@ class TransferJob:
         def transfer() -> Tensor:
             psf = simulation.psf(mask)
             parts = [simulation(some, psf) for some in torch.split(units, _SCENES_AT_ONCE)]
-            return torch.cat(parts).flatten(1)
+            return self.fade(dtype) * torch.cat(parts).flatten(1)
 
         return Prepared(lambda: simulation(units[:1], simulation.psf(mask)), transfer)
