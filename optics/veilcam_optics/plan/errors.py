@@ -121,7 +121,7 @@ class ErrorModel:
 
     @property
     def late(self) -> bool:
-        """Whether planning has taken so long that nothing finer is looked at."""
+        """Return whether planning has taken so long that nothing finer is looked at."""
         return time.process_time() - self._began > _PLANNING_S
 
     def interferences(self, model: Model) -> Interferences:
