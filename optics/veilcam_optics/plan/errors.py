@@ -75,7 +75,7 @@ class Interferences:
     model: Model
 
 
-_PLANNING_S = 1.0
+_PLANNING_S = 1.6
 """Time of the processor after which nothing finer is looked at [s]."""
 
 
