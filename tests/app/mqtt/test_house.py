@@ -70,6 +70,7 @@ def bridges(daemon: Daemon, broker: Mosquitto, house: House) -> Iterator[Bridges
 @pytest.fixture
 def running(bridges: Bridges, daemon: Daemon, house: House) -> subprocess.Popen[bytes]:
     process = bridges()
+    house.heard.clear()
     daemon.say("seen", label="3", confidence=0.876, duration_s=0.5)
     daemon.say("state", state="ready", detail=None, remedy=None)
     for topic, payload in (("label", "3"), ("confidence", "88"), ("health", "ready")):
