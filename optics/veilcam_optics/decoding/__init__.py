@@ -5,7 +5,13 @@ of scenes, the linear minimum-mean-square-error estimate takes the mask out agai
 classifier serves all masks.
 """
 
-from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
+from veilcam_optics.decoding.decoder import (
+    Decoder,
+    Precision,
+    SceneDecoding,
+    prepare_decoder,
+    unknown_share,
+)
 from veilcam_optics.decoding.frame import SceneFrame, read_frame, write_frame
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
@@ -19,6 +25,8 @@ __all__ = [
     "SceneFrame",
     "SceneStatistics",
     "fit_statistics",
+    "prepare_decoder",
     "read_frame",
+    "unknown_share",
     "write_frame",
 ]

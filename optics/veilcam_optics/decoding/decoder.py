@@ -1,12 +1,15 @@
 """Linear minimum-mean-square-error decoding, prepared once per mask.
 
-With ``A = gain T(w)^T`` the response (embedding pixels, scene pixels), ``mu`` and ``S = B B^T`` the
+With ``A = gain T(w)^T`` the response (embedding values, scene values), ``mu`` and ``S = B B^T`` the
 scene's mean and covariance and ``N`` the diagonal covariance of the noise,
 
     x^ = mu + S A^T (A S A^T + N)^-1 (v - A mu)            (Kay, Estimation Theory, eq. 12.27)
        = mu + B K (v - A mu),   M = N^(-1/2) A B,
     K  = (I + M^T M)^-1 M^T N^(-1/2) = M^T (I + M M^T)^-1 N^(-1/2),
     cov(x - x^) = B (I + M^T M)^-1 B^T.
+
+A scene in colour has the values of R, then those of G, then those of B. So has its embedding, and A
+holds a block for each colour: what one colour tells of another is in S.
 
 The two forms of K are equal (Woodbury); the smaller matrix is the one factored. What the basis
 leaves of the scene's variance acts as noise: ``diag(A diag(residual) A^T)`` is added to N.
@@ -77,7 +80,8 @@ class Decoder(Generic[Array]):
     scene: Scene
     embedding: Embedding
     mean_measurement: Array = field(repr=False)
-    """A mu: what the mean scene gives, (E,)."""
+    """A mu: what the mean scene gives, (E,): the embedding's values, three times as many in
+    colour."""
     estimator: Array = field(repr=False)
     """K, (rank, E)."""
     noise: Array = field(repr=False)
@@ -85,20 +89,21 @@ class Decoder(Generic[Array]):
     response: Array = field(repr=False)
     """A B, (E, rank)."""
     mean: Array = field(repr=False)
-    """mu, (pixels,)."""
+    """mu, (scene values,)."""
     basis: Array = field(repr=False)
-    """B, (pixels, rank)."""
-    deviation: Array = field(repr=False)
-    """Posterior standard deviation of each scene pixel, (rows, columns)."""
-    remaining: float
-    """Share of the scene's variance that a measurement leaves unknown, in [0, 1]."""
+    """B, (scene values, rank)."""
+
+    @property
+    def channels(self) -> int:
+        """1 gray, 3 in colour."""
+        return int(self.mean_measurement.shape[0]) // self.embedding.size
 
     def erase(self) -> None:
         """Overwrite all that is the mask's, as well as Python lets us; nothing is decoded any more.
 
         The mean and the basis are public, and shared with all other decoders.
         """
-        overwrite(self.mean_measurement, self.estimator, self.noise, self.response, self.deviation)
+        overwrite(self.mean_measurement, self.estimator, self.noise, self.response)
 
     def coordinates(self, measurements: Array) -> Array:
         """Estimates as coordinates in the scene's basis, (batch, rank)."""
@@ -157,31 +162,38 @@ class Decoder(Generic[Array]):
         """Estimate scenes.
 
         Args:
-            measurements: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+            measurements: (batch, rows, columns) of the embedding, (batch, 3, rows, columns) in
+                colour, or (batch, E).
 
         Returns:
-            (batch, rows, columns) of the scene, in the units of scenes; not clamped to [0, 1].
+            (batch, rows, columns) or (batch, 3, rows, columns) of the scene, in the units of
+            scenes; not clamped to [0, 1].
 
         Raises:
             OpticsError: measurements of another shape.
         """
         flat = self.mean + self.coordinates(measurements) @ self.basis.T
-        scenes: Array = namespace(flat).reshape(flat, (flat.shape[0], *self.scene.shape))
+        shape = self._planes(self.scene.shape)
+        scenes: Array = namespace(flat).reshape(flat, (flat.shape[0], *shape))
         return scenes
 
     def flatten(self, measurements: Array) -> Array:
-        """Measurements as (batch, embedding pixels) in the decoder's type; refuse another shape."""
+        """Measurements as (batch, E) in the decoder's type; refuse another shape."""
+        shape, size = self._planes(self.embedding.shape), self.mean_measurement.shape[0]
         require(
-            tuple(measurements.shape[1:]) in (self.embedding.shape, (self.embedding.size,)),
+            tuple(measurements.shape[1:]) in (shape, (size,)),
             "measurements.shape",
             tuple(measurements.shape),
             "",
-            f"(batch, *{self.embedding.shape})",
+            f"(batch, *{shape})",
         )
         xp = namespace(measurements)
-        flat = xp.reshape(measurements, (measurements.shape[0], self.embedding.size))
+        flat = xp.reshape(measurements, (measurements.shape[0], size))
         same: Array = xp.astype(flat, self.mean_measurement.dtype, copy=False)
         return same
+
+    def _planes(self, shape: tuple[int, int]) -> tuple[int, ...]:
+        return shape if self.channels == 1 else (self.channels, *shape)
 
 
 def prepare_decoder(
@@ -193,67 +205,131 @@ def prepare_decoder(
     embedding: Embedding,
     precision: Precision = Precision.MIXED,
     gain: float | Array = 1.0,
-    wanted: SceneStatistics[Array] | None = None,
 ) -> Decoder[Array]:
     """Prepare a decoder for a transfer matrix; differentiable in it where it is torch's.
 
     Args:
-        transfer: (scene pixels, embedding pixels), of the type of ``precision.products``.
+        transfer: (scene pixels, embedding pixels), or three of them in colour; of the type of
+            ``precision.products``.
         statistics: statistics of the scenes, of the same type.
         noise: noise to expect in measurements.
-        scene: scene whose pixels are estimated; by default those of the matrix.
+        scene: scene whose pixels are estimated.
         embedding: embedding that the matrix gives.
         precision: a dial of accuracy against time.
-        gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
-        wanted: statistics of what is to be estimated in the place of the scene, in the same
-            coordinates: a linear map of it, such as its means over larger pixels.
+        gain: measurement per unit of irradiance, a number or one per embedding value (E,).
 
     Raises:
-        OpticsError: a gain of another shape, or not finite; a transfer that is not finite; what is
-            wanted has other coordinates.
+        OpticsError: a gain of another shape, or not finite; a transfer that is not finite.
     """
-    wanted = statistics if wanted is None else wanted
-    require(wanted.rank == statistics.rank, "wanted.rank", wanted.rank, "", f"{statistics.rank}")
-    xp = namespace(transfer)
-    response = transfer.T * _gain(gain, transfer, embedding.size)
-    mean_measurement = response @ statistics.mean
-    reduced = response @ statistics.basis
-    lost = (response * response) @ statistics.residual
-    spread = xp.sum(reduced * reduced, axis=1) + lost
-    variance = noise.variance(mean_measurement, spread) + lost
-    deviation = xp.sqrt(variance)
-    scaled = as_type(reduced / deviation[:, None], precision.factors)
-    basis = as_type(wanted.basis, precision.factors)
-    prior = as_type(wanted.variance, precision.factors)
+    expected = _expect(transfer, statistics, noise, gain)
+    scaled = as_type(expected.scaled, precision.factors)
     if scaled.shape[0] < scaled.shape[1]:
         factor = _factor(scaled @ scaled.T)
         half = solve_triangular(factor, scaled)
         estimator = solve_triangular(factor, half, transposed=True).T
-        told = half @ basis.T
-        posterior = prior - xp.sum(told * told, axis=0)
     else:
         factor = _factor(scaled.T @ scaled)
         half = solve_triangular(factor, scaled.T)
         estimator = solve_triangular(factor, half, transposed=True)
-        left = solve_triangular(factor, basis.T)
-        posterior = xp.sum(left * left, axis=0) + as_type(wanted.residual, precision.factors)
-    posterior = xp.clip(posterior, 1e-12, None)  # not 0, where the root has no gradient
-    total = float(xp.sum(prior))
     decoder = Decoder(
         scene=scene,
         embedding=embedding,
-        mean_measurement=mean_measurement,
-        estimator=as_type(estimator, precision.products) / deviation,
-        noise=variance,
-        response=reduced,
-        mean=wanted.mean,
-        basis=wanted.basis,
-        deviation=xp.reshape(as_type(xp.sqrt(posterior), precision.products), scene.shape),
-        remaining=float(xp.sum(detached(posterior))) / total if total > 0 else 0.0,
+        mean_measurement=expected.mean,
+        estimator=as_type(estimator, precision.products) / expected.deviation,
+        noise=expected.variance,
+        response=expected.response,
+        mean=statistics.mean,
+        basis=statistics.basis,
     )
-    if not needs_gradient(response):
-        overwrite(response, scaled, factor, half, estimator)
+    if not needs_gradient(transfer):
+        overwrite(scaled, factor, half, estimator, expected.deviation)
     return decoder
+
+
+def unknown_share(
+    transfer: Array, statistics: SceneStatistics[Array], noise: MeasurementNoise = DEFAULT_NOISE
+) -> Array:
+    """Share of the scenes' variance that a measurement leaves unknown, in [0, 1].
+
+    It depends on the mask and on public statistics alone: no scene and no label has a part in it.
+    It is differentiable in the transfer where that is torch's, and computed in float64.
+
+    Args:
+        transfer: as for :func:`prepare_decoder`.
+        statistics: statistics of the scenes. Their basis holds principal components.
+        noise: noise to expect in measurements.
+
+    Returns:
+        A scalar array.
+
+    Raises:
+        OpticsError: a transfer that is not finite.
+    """
+    xp = namespace(transfer)
+    scaled = as_type(_expect(transfer, statistics, noise, 1.0).scaled, "float64")
+    basis = as_type(statistics.basis, "float64")
+    powers = xp.sum(basis * basis, axis=0)
+    lost = xp.sum(as_type(statistics.residual, "float64"))
+    total = xp.sum(powers) + lost
+    if scaled.shape[0] < scaled.shape[1]:
+        half = solve_triangular(_factor(scaled @ scaled.T), scaled)
+        told = xp.sum(half * half, axis=0) * powers
+        share: Array = 1 - xp.sum(told) / total
+    else:
+        roots = xp.eye(powers.shape[0], dtype=powers.dtype, device=device(powers)) * xp.sqrt(powers)
+        left = solve_triangular(_factor(scaled.T @ scaled), roots)
+        share = (xp.sum(left * left) + lost) / total
+    return share
+
+
+@dataclass(frozen=True, slots=True)
+class _Expected(Generic[Array]):
+    """Measurements to expect: mean, noise, and their response to the scenes' components."""
+
+    mean: Array
+    """(E,)."""
+    response: Array
+    """A B, (E, rank)."""
+    variance: Array
+    """Of the noise, (E,)."""
+    deviation: Array
+    """(E,)."""
+
+    @property
+    def scaled(self) -> Array:
+        """M, (E, rank)."""
+        scaled: Array = self.response / self.deviation[:, None]
+        return scaled
+
+
+def _expect(
+    transfer: Array,
+    statistics: SceneStatistics[Array],
+    noise: MeasurementNoise,
+    gain: float | Array,
+) -> _Expected[Array]:
+    """Return what to expect of measurements behind a mask.
+
+    No colour of the scene reaches another colour of the embedding.
+    """
+    xp = namespace(transfer)
+    planes = [transfer] if transfer.ndim == 2 else [transfer[channel] for channel in range(3)]
+    pixels, size = planes[0].shape
+    values = len(planes) * pixels
+    require(statistics.pixels == values, "statistics.pixels", statistics.pixels, "", f"{values}")
+    factor = _gain(gain, transfer, len(planes) * size)
+    means, responses, residues = [], [], []
+    for channel, plane in enumerate(planes):
+        here = slice(channel * pixels, (channel + 1) * pixels)
+        means.append(plane.T @ statistics.mean[here])
+        responses.append(plane.T @ statistics.basis[here])
+        residues.append((plane * plane).T @ statistics.residual[here])
+    mean = xp.concat(means) * factor
+    response = xp.concat(responses) * (factor if isinstance(factor, float) else factor[:, None])
+    lost = xp.concat(residues) * factor**2
+    spread = xp.sum(response * response, axis=1) + lost
+    variance = noise.variance(mean, spread) + lost
+    return _Expected(mean, response, variance, xp.sqrt(variance))
 
 
 class Operator(Protocol):
@@ -276,7 +352,7 @@ class Operator(Protocol):
         """Type of the matrix."""
 
     def __call__(self, weights: Any, /) -> Any:
-        """Transfer matrix (scene pixels, embedding pixels) of a mask."""
+        """Transfer matrix (scene pixels, embedding pixels) of a mask, or three in colour."""
 
 
 OperatorT = TypeVar("OperatorT", bound=Operator, default="TransferOperator")
@@ -286,14 +362,14 @@ class SceneDecoding(Generic[OperatorT]):
     """Prepares decoders: all that does not depend on the mask, made once.
 
     Args:
-        operator: gray transfer operator of the camera; its type is set by ``precision``.
+        operator: transfer operator of the camera; its type is set by ``precision``.
         statistics: statistics of the scenes; their rank is a dial of accuracy against time.
         noise: noise to expect in measurements.
         precision: a dial of accuracy against time.
 
     Raises:
-        OpticsError: a colour operator, an operator of another type than ``precision`` wants, or
-            statistics of another scene.
+        OpticsError: an operator of another type than ``precision`` wants, or statistics of another
+            scene.
     """
 
     def __init__(
@@ -305,14 +381,12 @@ class SceneDecoding(Generic[OperatorT]):
         precision: Precision = Precision.MIXED,
     ) -> None:
         scene = operator.scene
-        if operator.colour:
-            raise OpticsError("a colour operator cannot be decoded: use colour=False")
         require(
-            statistics.pixels == scene.rows * scene.columns,
+            statistics.pixels == (3 if operator.colour else 1) * scene.rows * scene.columns,
             "statistics.pixels",
             statistics.pixels,
             "pixels",
-            f"the scene's, {scene.shape}",
+            f"the scene's, {scene.shape}" + (" in three colours" if operator.colour else ""),
         )
         self.statistics: SceneStatistics[Any] = statistics.to(precision.products)
         require_choice("operator's dtype", operator.dtype, [self.statistics.mean.dtype])
@@ -324,7 +398,7 @@ class SceneDecoding(Generic[OperatorT]):
         Args:
             weights: amplitude transmittances as the panel shows them (quantised, with dead rows),
                 ``camera.mask_shape``.
-            gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
+            gain: measurement per unit of irradiance, a number or one per embedding value (E,).
 
         Raises:
             OpticsError: a mask or gain of another shape, or not finite.
@@ -336,7 +410,7 @@ class SceneDecoding(Generic[OperatorT]):
         return decoder
 
     def prepare_transfer(self, transfer: Array, *, gain: float | Array = 1.0) -> Decoder[Array]:
-        """Prepare the decoder of a transfer matrix (scene pixels, embedding pixels)."""
+        """Prepare the decoder of a transfer: (scene pixels, embedding pixels), three in colour."""
         decoder: Decoder[Array] = prepare_decoder(
             transfer,
             self.statistics,
@@ -350,19 +424,18 @@ class SceneDecoding(Generic[OperatorT]):
 
 
 def _gain(gain: float | Array, transfer: Array, size: int) -> Any:
-    """Return a number, or a column (E, 1) in the place and of the type of ``transfer``."""
+    """Return a float, or numbers (E,) in the place and of the type of ``transfer``."""
     if isinstance(gain, int | float):
         if not (math.isfinite(gain) and gain > 0):
             raise OpticsError("gain is not valid: use finite numbers > 0")
-        return gain
+        return float(gain)
     xp = namespace(transfer)
     shape = tuple(gain.shape)
     require(shape in ((), (size,)), "gain.shape", shape, "", f"one number, or ({size},)")
     if not bool(xp.all(xp.isfinite(gain) & (gain > 0))):
         raise OpticsError("gain is not valid: use finite numbers > 0")
-    values = xp.astype(to_device(gain, device(transfer)), transfer.dtype, copy=False)
-    column: Array = xp.reshape(values, (-1, 1))
-    return column
+    values: Array = xp.astype(to_device(gain, device(transfer)), transfer.dtype, copy=False)
+    return xp.broadcast_to(values, (size,))
 
 
 def _factor(gram: Array) -> Array:

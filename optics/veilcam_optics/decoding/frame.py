@@ -71,6 +71,11 @@ class SceneFrame(Generic[Array]):
     imperfections: Imperfections = NOMINAL
     """Of the camera as it was built; whatever reads it takes out the stray light."""
 
+    @property
+    def colour(self) -> bool:
+        """True where scenes have three colours."""
+        return self.statistics.pixels == 3 * self.scene.rows * self.scene.columns
+
     def in_torch(self) -> SceneFrame[Tensor]:
         """Return the same frame, for training."""
         known = (self.statistics.in_torch(), self.noise, self.reach, self.distribution)
@@ -108,11 +113,19 @@ class SceneFrame(Generic[Array]):
             from veilcam_optics.transfer.operator import TransferOperator  # noqa: PLC0415
 
             operator = TransferOperator(
-                *given, reach=self.reach, dtype=like.dtype, imperfections=self.imperfections
+                *given,
+                reach=self.reach,
+                colour=self.colour,
+                dtype=like.dtype,
+                imperfections=self.imperfections,
             )
         else:
             operator = make_transfer(
-                *given, reach=self.reach, like=like, imperfections=self.imperfections
+                *given,
+                reach=self.reach,
+                colour=self.colour,
+                like=like,
+                imperfections=self.imperfections,
             )
         return SceneDecoding(operator, statistics, self.noise, precision=precision)
 
@@ -143,7 +156,8 @@ def read_frame(path: Path) -> SceneFrame[Values]:
         if any(array.dtype != np.float32 for array in known.values()):
             raise OpticsError("tensors are not float32: make it again")
         statistics: SceneStatistics[Values] = SceneStatistics(**known)
-        if statistics.pixels != header.scene.rows * header.scene.columns:
+        pixels = header.scene.rows * header.scene.columns
+        if statistics.pixels not in (pixels, 3 * pixels):
             raise OpticsError("statistics are of another scene: make it again")
         distribution = MaskDistribution(**arrays) if drawn else None
         if distribution is not None and (

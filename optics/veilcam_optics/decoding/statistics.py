@@ -20,6 +20,7 @@ class SceneStatistics(Generic[Array]):
 
     The basis holds the strongest principal components, each times its standard deviation and
     ordered by it; the residual is what they leave of each pixel's variance. Pixels in row order.
+    In colour each has three values, and all of R come before those of G and B.
     """
 
     mean: Array = field(repr=False)
@@ -48,7 +49,7 @@ class SceneStatistics(Generic[Array]):
 
     @property
     def pixels(self) -> int:
-        """Number of pixels of a scene."""
+        """Number of values of a scene: its pixels, or three times as many in colour."""
         return int(self.mean.shape[0])
 
     @property
@@ -98,8 +99,8 @@ def fit_statistics(batches: Iterable[Array], rank: int) -> SceneStatistics[Array
     """Mean and principal components of scenes, in float64.
 
     Args:
-        batches: scenes (count, rows, columns), or (count, pixels), batch by batch; all are needed
-            only once and one at a time.
+        batches: scenes (count, rows, columns), (count, 3, rows, columns) or (count, pixels), batch
+            by batch; all are needed only once and one at a time.
         rank: components to keep; no more are kept than there are pixels.
 
     Raises:

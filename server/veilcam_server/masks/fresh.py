@@ -66,7 +66,7 @@ class FreshReader:
         ]
 
     def _inputs(self, measurements: Values) -> Values:
-        inputs = classifier_inputs(self.decoder, measurements, self.fresh.features)
+        inputs = classifier_inputs(self.decoder, measurements)
         return inputs.astype(np.float32)  # as it was fitted
 
     def whiten(self, measurement: Measurement) -> Measurement:

@@ -3,7 +3,7 @@
 from veilcam_training.bundle.archive import add_card, read_bundle, sign_bundle, write_bundle
 from veilcam_training.bundle.card import CardRow, Finding, Outcome, PrivacyCard
 from veilcam_training.bundle.errors import BundleError
-from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
+from veilcam_training.bundle.fresh import Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, Bundle, LightPlan, Pair, TransferError
 from veilcam_training.bundle.network import Network
@@ -14,7 +14,6 @@ __all__ = [
     "Bundle",
     "BundleError",
     "CardRow",
-    "Feature",
     "Finding",
     "Fresh",
     "LayerRecord",

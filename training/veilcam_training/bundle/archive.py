@@ -116,7 +116,6 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         else FreshManifest(
             noise=fresh.noise,
             reach=fresh.reach,
-            features=fresh.features,
             layers=fresh.layers,
         ),
         provenance=dict(bundle.provenance),

@@ -5,7 +5,7 @@ None of it is secret: masks come from a key that the camera alone has.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 
@@ -17,11 +17,6 @@ from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import LayerRecord
-
-Feature = Literal["estimate", "deviation"]
-"""``estimate`` is the decoded scene, ``deviation`` its posterior standard deviation."""
-
-FEATURES: tuple[Feature, ...] = ("estimate", "deviation")
 
 MAX_RESPONSE = 2**26
 """Most numbers in a transfer matrix: 256 MiB of float32."""
@@ -41,13 +36,11 @@ class Fresh:
     weights: Mapping[str, npt.NDArray[Any]] = field(repr=False)
     """By the names of the ``state_dict`` of torch's ``nn.Sequential``."""
     reach: Reach = field(default_factory=Reach)
-    features: tuple[Feature, ...] = FEATURES
-    """What the classifier is given, each as large as the scene, one after the other."""
 
     @property
     def inputs(self) -> int:
-        """Number of inputs of the classifier."""
-        return len(self.features) * self.statistics.pixels
+        """Number of inputs of the classifier: the values of a decoded scene."""
+        return self.statistics.pixels
 
     def frame(
         self, camera: Camera, scene: Scene, embedding: Embedding
@@ -57,29 +50,26 @@ class Fresh:
         return SceneFrame(camera, scene, embedding, *known)
 
 
-def classifier_inputs(
-    decoder: Decoder[Array], measurements: Array, features: tuple[Feature, ...] = FEATURES
-) -> Array:
-    """Return the classifier's input of measurements behind one mask.
+def classifier_inputs(decoder: Decoder[Array], measurements: Array) -> Array:
+    """Return the classifier's input of measurements behind one mask: the estimated scenes.
 
     Args:
         decoder: decoder of that mask.
-        measurements: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
-        features: each as large as the scene, one after the other.
+        measurements: (batch, rows, columns) of the embedding, (batch, 3, rows, columns) in colour,
+            or (batch, embedding values).
 
     Returns:
-        (batch, features x scene pixels).
+        (batch, scene values).
     """
-    xp = namespace(measurements)
-    estimate = decoder(measurements)
-    shape = (estimate.shape[0], decoder.scene.rows * decoder.scene.columns)
-    deviation = xp.broadcast_to(xp.reshape(decoder.deviation, (1, shape[1])), shape)
-    known = {"estimate": xp.reshape(estimate, shape), "deviation": deviation}
-    inputs: Array = xp.concat([known[feature] for feature in features], axis=1)
+    inputs: Array = namespace(measurements).reshape(
+        decoder(measurements), (measurements.shape[0], -1)
+    )
     return inputs
 
 
-def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding) -> None:
+def check_fresh(
+    fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding, channels: int
+) -> None:
     """Raise :class:`BundleError` unless key policy and statistics fit camera and scene."""
     try:
         # What draws knows what it can serve; nobody is ever shown this mask.
@@ -91,11 +81,10 @@ def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding
         f"key policy: a mask holds {fresh.distribution.bits:.0f} bits: "
         f"use a distribution with at least {LEAST_BITS:.0f}",
     )
-    statistics = fresh.statistics
+    statistics, values = fresh.statistics, channels * scene.rows * scene.columns
     require(
-        statistics.pixels == scene.rows * scene.columns,
-        f"scene statistics are of {statistics.pixels} pixels: "
-        f"use {scene.rows * scene.columns} as the scene has",
+        statistics.pixels == values,
+        f"scene statistics are of {statistics.pixels} values: use {values} as the scene has",
     )
     require(
         statistics.rank <= statistics.pixels,
@@ -105,8 +94,4 @@ def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding
         statistics.pixels * embedding.size <= MAX_RESPONSE,
         f"scene and embedding make {statistics.pixels} x {embedding.size} responses: "
         f"use at most {MAX_RESPONSE}",
-    )
-    require(
-        0 < len(fresh.features) == len(set(fresh.features)),
-        f"features = {fresh.features} are not valid: use each once at most",
     )

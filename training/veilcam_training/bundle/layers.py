@@ -134,7 +134,7 @@ class ReLU(_Record):
 
 
 class GELU(_Record):
-    """x times the normal distribution function of x."""
+    """``x / 2 (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3)))`` (Hendrycks and Gimpel 2016)."""
 
     kind: Literal["gelu"] = "gelu"
 
@@ -235,17 +235,15 @@ class MaxPool(_Record):
         return (shape[0], shape[1] // self.kernel, shape[2] // self.kernel)
 
 
-class AveragePool(_Record):
-    """Average over a grid of ``rows x columns`` equal parts of an image."""
+class GlobalMaxPool(_Record):
+    """Maximum of each channel of an image."""
 
-    kind: Literal["average_pool"] = "average_pool"
-    rows: Side = 1
-    columns: Side = 1
+    kind: Literal["global_max_pool"] = "global_max_pool"
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
         _require(len(shape) == 3, shape, "(channels, rows, columns)")
-        return (shape[0], self.rows, self.columns)
+        return shape[:1]
 
 
 PlainLayer = (
@@ -261,7 +259,7 @@ PlainLayer = (
     | Resize
     | Conv2d
     | MaxPool
-    | AveragePool
+    | GlobalMaxPool
 )
 
 

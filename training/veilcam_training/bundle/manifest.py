@@ -9,7 +9,6 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError
-from veilcam_training.bundle.fresh import Feature
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, LightPlan, TransferError
 
@@ -34,7 +33,6 @@ class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """How a key becomes a mask: see :mod:`veilcam_optics.keys.masks`."""
     noise: MeasurementNoise
     reach: Reach
-    features: tuple[Feature, ...]
     layers: tuple[LayerRecord, ...]
 
 

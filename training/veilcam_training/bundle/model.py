@@ -206,11 +206,7 @@ def _check_fresh(bundle: Bundle) -> None:
     fresh = bundle.fresh
     if fresh is None or bundle.pairs:
         raise BundleError("mode 'fresh' has a key policy and no pairs: export the bundle again")
-    require(
-        bundle.channels == 1,
-        f"mode 'fresh' has gray embeddings: channels = {bundle.channels}, use 1",
-    )
-    check_fresh(fresh, bundle.camera, bundle.scene, bundle.embedding)
+    check_fresh(fresh, bundle.camera, bundle.scene, bundle.embedding, bundle.channels)
     _check_classifier(bundle, fresh.layers, fresh.weights)
 
 

@@ -14,11 +14,11 @@ from veilcam_training.bundle.classifier import check_weights
 from veilcam_training.bundle.layers import (
     GELU,
     Affine,
-    AveragePool,
     BatchNorm,
     Conv2d,
     Dropout,
     Flatten,
+    GlobalMaxPool,
     LayerNorm,
     LayerRecord,
     Linear,
@@ -31,18 +31,6 @@ from veilcam_training.bundle.layers import (
 
 Values = npt.NDArray[Any]
 Weights = Mapping[str, Values]
-
-# What interpolates exp(s^2) erfc(s) in (s - 2) / (s + 2) at 16 Chebyshev nodes, lowest power first:
-# off by 1e-11. The test of this module compares it with erfc.
-# fmt: off
-_TAIL = (
-    0.25539567632483406, -0.427185847408313, 0.2416581924071058, -0.07897858174058268,
-    0.0037329310890877334, 0.006997477200827248, -0.000847454860999208, -0.0009821044763679866,
-    4.4792723756913993e-05, 0.00017488694091880643, 2.4847085209153214e-05,
-    -2.879199372292821e-05, -1.0741378529901084e-05, 3.0176620505758343e-06,
-    1.756622087068263e-06, -5.618106779689081e-08,
-)
-# fmt: on
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +105,10 @@ def _relu(_: ReLU, x: Values, __: Weights) -> Values:
 
 
 def _gelu(_: GELU, x: Values, __: Weights) -> Values:
-    size = np.abs(x) * x.dtype.type(0.5**0.5)
-    place = (size - 2) / (size + 2)
-    # exp(s^2) erfc(s) is a polynomial in the place; NumPy has no error function.
-    tail = np.full_like(x, _TAIL[-1])
-    for coefficient in reversed(_TAIL[:-1]):
-        tail *= place
-        tail += coefficient
-    tail *= np.exp(-size * size) / 2
-    share: Values = np.where(x < 0, tail, 1 - tail)
-    return x * share
+    one = x.dtype.type
+    curve = np.tanh(one(math.sqrt(2 / math.pi)) * (x + one(0.044715) * x * x * x))
+    passed: Values = x * (one(0.5) + one(0.5) * curve)
+    return passed
 
 
 def _as_it_is(_: Dropout, x: Values, __: Weights) -> Values:
@@ -142,16 +124,8 @@ def _reshape(layer: Reshape, x: Values, _: Weights) -> Values:
 
 
 def _resize(layer: Resize, x: Values, _: Weights) -> Values:
-    return _along_both(interpolation, x, layer.rows, layer.columns)
-
-
-def _average_pool(layer: AveragePool, x: Values, _: Weights) -> Values:
-    return _along_both(averages, x, layer.rows, layer.columns)
-
-
-def _along_both(matrix: Callable[[int, int], Values], x: Values, rows: int, columns: int) -> Values:
     """Images whose rows and columns are each multiplied by a matrix of their own."""
-    down, across = matrix(rows, x.shape[2]), matrix(columns, x.shape[3])
+    down, across = interpolation(layer.rows, x.shape[2]), interpolation(layer.columns, x.shape[3])
     result: Values = down.astype(x.dtype) @ x @ across.astype(x.dtype).T
     return result
 
@@ -161,14 +135,6 @@ def interpolation(new: int, old: int) -> Values:
     place = np.clip((np.arange(new) + 0.5) * (old / new) - 0.5, 0, old - 1)
     shares: Values = np.maximum(0, 1 - np.abs(place[:, None] - np.arange(old)))
     return shares
-
-
-def averages(new: int, old: int) -> Values:
-    """Means of equal parts, which overlap where pixels are cut, (new, old)."""
-    part, pixel = np.arange(new)[:, None], np.arange(old)
-    within = (pixel >= part * old // new) & (pixel < -(-(part + 1) * old // new))
-    means: Values = within / within.sum(axis=1, keepdims=True)
-    return means
 
 
 def _conv2d(layer: Conv2d, x: Values, own: Weights) -> Values:
@@ -197,6 +163,11 @@ def _max_pool(layer: MaxPool, x: Values, _: Weights) -> Values:
     return largest
 
 
+def _global_max_pool(_: GlobalMaxPool, x: Values, __: Weights) -> Values:
+    largest: Values = x.max(axis=(2, 3))
+    return largest
+
+
 _COMPUTED: Mapping[str, Callable[[Any, Values, Weights], Values]] = {
     "linear": _linear,
     "batch_norm": _batch_norm,
@@ -210,6 +181,6 @@ _COMPUTED: Mapping[str, Callable[[Any, Values, Weights], Values]] = {
     "resize": _resize,
     "conv2d": _conv2d,
     "max_pool": _max_pool,
-    "average_pool": _average_pool,
+    "global_max_pool": _global_max_pool,
 }
 """What each kind of layer does to a batch, but for the residual one."""

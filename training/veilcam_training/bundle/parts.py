@@ -109,7 +109,6 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
             layers=manifest.layers,
             weights=own,
             reach=manifest.reach,
-            features=manifest.features,
         )
     except OpticsError as error:
         raise BundleError(str(error)) from None

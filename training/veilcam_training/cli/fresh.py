@@ -1,5 +1,6 @@
 """``veilcam-train fit-fresh`` and ``frame``: masks that nobody has used before."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,17 +24,15 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
-    for_bundle,
     given,
+    opened,
     prepare,
     show_summary,
-    warn_of_precision,
     watch,
 )
 from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import load_fresh_settings, names_classifier
-from veilcam_training.data import Source, open_source, recognise
-from veilcam_training.data.base import ReadOnce
+from veilcam_training.config.settings import load_fresh_settings
+from veilcam_training.data import recognise
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
 from veilcam_training.experiments.keyring import as_fresh_bundle, check_fresh
@@ -52,7 +51,7 @@ def fit_fresh_command(
     batch: Batch = None,
     seed: Seed = None,
     masks: Annotated[
-        int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
+        int | None, typer.Option(min=1, help="Masks to test on; 200 by default.")
     ] = None,
     work: Work = None,
     tensorboard: Logs = None,
@@ -64,18 +63,16 @@ def fit_fresh_command(
     """Fit one classifier to a stream of fresh masks; test it on unseen ones; write a bundle."""
     place = prepare(device, threads)
     check_places(out, work, tensorboard, csv)
-    overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
-    settings = load_fresh_settings(config, overrides, found=recognise(data))
-    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
-    named = names_classifier(config, {})
-    source = ReadOnce(for_bundle(console, source, settings.classifier, named=named))
+    overrides = given(task=task, seed=seed) | {"recipe": given(epochs=epochs, batch=batch)}
+    load = partial(load_fresh_settings, config, overrides, found=recognise(data))
+    settings, source = opened(load, data, skip_damaged=skip_damaged)
     camera = Camera()
     check_fresh(settings, source, camera)
     show_summary(console, source)
-    warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
+    recipe = settings.recipe
     settings = settle_seed(settings, work)
     name = f"{settings.classifier} fresh {settings.embedding}"
-    with watch(console, name, settings.epochs, logs=tensorboard, table=csv) as callbacks:
+    with watch(console, name, recipe.epochs, logs=tensorboard, table=csv) as callbacks:
         result = run_fresh(
             settings,
             source,

@@ -1,6 +1,7 @@
 """``veilcam-train``: fit masks and classifiers, and write them as bundles."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -30,17 +31,15 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
-    for_bundle,
     given,
+    opened,
     prepare,
     show_summary,
-    warn_of_precision,
     watch,
 )
 from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import Settings, load_settings, names_classifier
-from veilcam_training.data import SOURCES, Source, open_source, recognise
-from veilcam_training.data.base import ReadOnce
+from veilcam_training.config.settings import load_settings
+from veilcam_training.data import SOURCES, recognise
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
 from veilcam_training.encoders import ENCODERS, read_psf
@@ -70,9 +69,7 @@ Dataset = Annotated[
 ]
 Classifier = Annotated[
     str | None,
-    typer.Option(
-        "--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, ResNet<width>, VGG11."
-    ),
+    typer.Option("--classifier", help="LR, FC<width>, VGG11, CNN<width> or Scene<width>."),
 ]
 EncoderName = Annotated[
     str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")
@@ -106,6 +103,21 @@ ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
+Hidden = Annotated[
+    bool | None,
+    typer.Option(
+        "--allow-visible",
+        help="Let a mask show pictures of the scene, which no daemon takes unless told to.",
+        callback=lambda allowed: False if allowed else None,
+        is_flag=True,
+    ),
+]
+EndToEnd = Annotated[
+    bool | None,
+    typer.Option(
+        "--end-to-end", help="Learn mask and Scene classifier together in a second stage."
+    ),
+]
 WorkerCount = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Processes, each of one thread; 1 by default."),
@@ -132,6 +144,8 @@ def fit_command(
     recipe: RecipeName = None,
     epochs: Epochs = None,
     batch: Batch = None,
+    hidden: Hidden = None,
+    end_to_end: EndToEnd = None,
     seed: Seed = None,
     out: Annotated[Path | None, typer.Option("--out", help="Bundle to write, *.veilcam.")] = None,
     work: Work = None,
@@ -142,9 +156,7 @@ def fit_command(
     threads: Threads = None,
 ) -> None:
     """Fit one camera and classifier; print its accuracy on the test set; write a bundle."""
-    settings = _settings(
-        config,
-        data,
+    chosen = given(
         data=dataset,
         classifier=classifier,
         encoder=encoder,
@@ -155,24 +167,19 @@ def fit_command(
         binning=binning,
         change=change,
         seed=seed,
-        recipe=given(base=recipe, epochs=epochs, batch=batch),
+        recipe=given(base=recipe, epochs=epochs, batch=batch, hidden=hidden, end_to_end=end_to_end),
     )
+    load = partial(load_settings, config, chosen, found=recognise(data))
+    settings, source = opened(load, data, skip_damaged=skip_damaged)
     place = prepare(device, threads)
     check_places(out, work, tensorboard, csv)
     if out is None and work is None:
         console.print("note: without --out or --work nothing of this fit will be kept")
-    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
     camera = Camera()
-    if out is not None:
-        named = names_classifier(config, given(classifier=classifier))
-        source = for_bundle(console, source, settings.classifier, named=named)
-    source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
     settings = settle_seed(settings, work)
     show_summary(console, source)
-    mixed = settings.recipe.precision == "mixed"
-    warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
     psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
     if psf_used and (said := read_psf(psf_used, camera.distance).warning):
         console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
@@ -207,6 +214,7 @@ def keyring_command(
     recipe: RecipeName = None,
     epochs: Epochs = None,
     batch: Batch = None,
+    hidden: Hidden = None,
     seed: Seed = None,
     work: Work = None,
     skip_damaged: SkipDamaged = False,
@@ -216,22 +224,19 @@ def keyring_command(
     address: RayAddress = None,
 ) -> None:
     """Fit several pairs of mask and classifier, each from its own seed, into one bundle."""
-    settings = _settings(
-        config,
-        data,
+    chosen = given(
         data=dataset,
         classifier=classifier,
         encoder=encoder,
         embedding=embedding,
         seed=seed,
-        recipe=given(base=recipe, epochs=epochs, batch=batch),
+        recipe=given(base=recipe, epochs=epochs, batch=batch, hidden=hidden),
     )
+    load = partial(load_settings, config, chosen, found=recognise(data))
+    settings, source = opened(load, data.resolve(), skip_damaged=skip_damaged)
     place = prepare(device, threads)
     check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
-    source: Source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
-    named = names_classifier(config, given(classifier=classifier))
-    source = for_bundle(console, source, settings.classifier, named=named)
     show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
@@ -303,10 +308,6 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     Console(stderr=True).print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
     sys.exit(1)
-
-
-def _settings(config: Path | None, folder: Path, **options: object) -> Settings:
-    return load_settings(config, given(**options), found=recognise(folder))
 
 
 def _show(result: FitResult) -> None:

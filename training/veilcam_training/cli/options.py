@@ -1,17 +1,18 @@
 """Options that several commands have, and what they do before and around a fit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import torch
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from veilcam_training.data import Source
-from veilcam_training.data.base import InGray
+from veilcam_training.config.settings import FreshSettings, Settings
+from veilcam_training.data import Source, open_source
+from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.summary import summarise
 from veilcam_training.errors import require
 from veilcam_training.files import check_file, check_folder
@@ -94,41 +95,24 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def has_bfloat16(device: torch.device) -> bool:
-    """Return True if ``device`` has instructions for bfloat16; torch emulates them elsewhere.
-
-    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
-    """
-    capabilities = torch.cpu.get_capabilities()
-    return device.type != "cpu" or any(
-        present for name, present in capabilities.items() if "bf16" in name
-    )
+SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
 
 
-def for_bundle(console: Console, source: Source, classifier: str, *, named: bool) -> Source:
-    """Return a data set as a daemon takes it: in gray.
+def opened(
+    load: Callable[..., SettingsT], folder: Path, *, skip_damaged: bool
+) -> tuple[SettingsT, Source]:
+    """Return the settings of a fit and its data set, read from disk once.
 
     Args:
-        console: console that tells of colour left out.
-        source: the data set.
-        classifier: classifier to fit.
-        named: True where somebody chose it; it would be another one in gray.
-
-    Raises:
-        TrainingError: a classifier was chosen for pictures in colour.
+        load: function that loads settings, and is told whether the data set has ``colour``.
+        folder: folder of the data set.
+        skip_damaged: leave out own pictures that cannot be read.
     """
-    if not source.colour:
-        return source
-    require(
-        not named,
-        f"classifier {classifier} would be fitted in colour, which no daemon takes: write "
-        "'colour = false' into dataset.toml, or name no classifier to fit the default one in gray",
-    )
-    console.print(
-        "note: these pictures have colour, which no daemon takes: they are fitted in gray",
-        soft_wrap=True,
-    )
-    return InGray(source)
+    settings = load(colour=False)
+    source = open_source(settings.data, folder, skip_damaged=skip_damaged)
+    if source.colour:
+        settings = load(colour=True)
+    return settings, ReadOnce(source)
 
 
 def show_summary(console: Console, source: Source) -> None:
@@ -140,24 +124,6 @@ def show_summary(console: Console, source: Source) -> None:
     console.print(table)
     for warning in summary.warnings:
         console.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
-
-
-def warn_of_precision(console: Console, device: torch.device, *, mixed: bool, instead: str) -> None:
-    """Say that a fit in mixed precision is to run where bfloat16 is emulated.
-
-    Args:
-        console: console to print on.
-        device: device of the fit.
-        mixed: True: the fit is in mixed precision.
-        instead: the setting that takes full precision, as in a file.
-    """
-    if mixed and not has_bfloat16(device):
-        console.print(
-            f"warning: this processor emulates bfloat16, which is slow: use {instead}, unless "
-            "the numbers of another machine are to come out",
-            markup=False,
-            soft_wrap=True,
-        )
 
 
 @contextmanager

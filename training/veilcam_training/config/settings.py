@@ -11,7 +11,7 @@ snr_db = "none"         # TOML has no null
 [recipe.panel_errors]
 shift = 5e-5
 
-A fit for fresh masks has its settings, beside the name of a ``task``, in one table.
+A fit for fresh masks has its own settings, beside the name of a ``task``, and the same recipe.
 """
 
 import hashlib
@@ -20,27 +20,24 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import torch
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.config.recipes import (
     OWN_CLASSIFIER,
     TASKS,
-    Mixup,
     Recipe,
     Situation,
-    Tolerance,
     find_recipe,
-    one_cycle,
+    scenes,
 )
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
-from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -105,7 +102,7 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
 
 
 class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
-    """Settings of a fit of one classifier to a stream of masks, each used for a moment only."""
+    """Settings of a fit of one classifier to many masks, each used for a moment only."""
 
     data: str = "mnist"
     embedding: str = "24x32"
@@ -115,60 +112,15 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     """Masks are ``u ** exponent`` for uniform ``u``, rounded to the panel's levels."""
     spread: Annotated[float, Field(gt=0, le=1)] | None = None
     """Learn a range of ``u`` for each sub-pixel, this much to both sides of a centre."""
-    mask_rate: Positive = 5e-2
-    """Highest learning rate of the centres; they have a range of 1."""
-    rank: Count = 384
-    """Principal components of the scene that the decoder uses."""
-    pooling: Annotated[int, Field(ge=1, le=16)] = 1
-    """Side, in scene pixels, of a pixel of the decoded scene."""
-    snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] = 40.0
     misalignment: Misalignment | None = Misalignment()
     model_error: NotNegative = 0.0
     """Relative error of the response that the decoder expects."""
-    tolerance: Tolerance = 3e-3
-    """As in a :class:`Recipe`."""
-    classifier: str = "CNN32"
-    augmentation: ShearedAugmentation | None = ShearedAugmentation()
-    epochs: Annotated[int, Field(ge=1, le=10_000)] = 20
-    patience: Annotated[int, Field(ge=1)] | None = None
-    """Epochs without a better validation accuracy after which fitting stops; None: never."""
-    batch: Count = 128
-    """Images in one step, spread evenly over the masks in use."""
-    masks: Count = 4
-    """Masks in use at a time, in each of the processes that fit together."""
-    renewed: Count = 1
-    """How many of them are replaced before every step."""
-    optimiser: Literal["adam", "sgd"] = "adam"
-    rate: Positive = 3e-3
-    """Highest learning rate."""
-    weight_decay: NotNegative = 1e-2
-    label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.05
-    mixup: Mixup = 0.0
-    """As in a :class:`Recipe`."""
-    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.998
-    """Decay per step of the running mean of the weights; the mean is what is used."""
-    bfloat16: bool = True
-    """Fit in mixed precision; the result is float32 all the same."""
-    validation_masks: Count = 200
+    classifier: str = "Scene32"
+    masks: Count = 100
+    """Masks that each view of the training images is measured behind."""
+    validation_masks: Count = 20
     seed: Seed = 0
-
-    @model_validator(mode="after")
-    def _fit_together(self) -> Self:
-        if self.masks % self.renewed or self.batch % self.masks:
-            raise ValueError(
-                f"batch = {self.batch}, masks = {self.masks}, renewed = {self.renewed}: "
-                "use numbers that divide one another"
-            )
-        return self
-
-    def rate_factor(self, progress: float) -> float:
-        """Factor on both learning rates when ``progress``, in [0, 1), of the fit is done."""
-        return one_cycle(progress, warm_up=0.15, lowest=1e-3)
-
-    @property
-    def transform(self) -> Augmentation | None:
-        """Augmentation of the training images; None if there is none."""
-        return self.augmentation
+    recipe: Recipe = Recipe()
 
     def fingerprint(self, source: Source) -> str:
         """SHA-256 of the settings and of the data: two fits are the same if these are."""
@@ -181,7 +133,11 @@ def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
 
 
 def load_settings(
-    path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
+    path: Path | None,
+    overrides: Mapping[str, Any],
+    *,
+    found: str | None = None,
+    colour: bool = False,
 ) -> Settings:
     """Read the settings of ``path``, with ``overrides`` in the place of what it says.
 
@@ -191,6 +147,7 @@ def load_settings(
             as in the file.
         found: somebody's own pictures, by that name of a data set: used where nothing names one,
             with a classifier that suits few pictures.
+        colour: True where the data set has colour.
 
     Raises:
         TrainingError: a file that is missing or no TOML, an unknown key, or a bad value.
@@ -215,19 +172,19 @@ def load_settings(
             settings.embedding,
             settings.classifier,
             settings.change,
+            colour,
         )
         base = find_recipe(str(recipe.pop("base", "default")), situation)
         merged = _merge(base.model_dump(), recipe)
         return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
 
 
-def names_classifier(path: Path | None, overrides: Mapping[str, Any]) -> bool:
-    """Return whether a classifier is named, by a file or by an option, and not the default."""
-    return "classifier" in overrides or "classifier" in _read(path)
-
-
 def load_fresh_settings(
-    path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
+    path: Path | None,
+    overrides: Mapping[str, Any],
+    *,
+    found: str | None = None,
+    colour: bool = False,
 ) -> FreshSettings:
     """Read the settings of ``path``, with ``overrides`` in their place, over those of the task.
 
@@ -235,6 +192,7 @@ def load_fresh_settings(
         path: TOML file; None for a task alone.
         overrides: values by the names of :class:`FreshSettings`, and ``task``.
         found: data set that the folder was seen to hold; used where nothing names one or a task.
+        colour: True where the data set has colour.
 
     Raises:
         TrainingError: a file that is missing or no TOML, an unknown task or key, or a bad value.
@@ -244,8 +202,13 @@ def load_fresh_settings(
         content = {"data": found} | content
     task = str(content.pop("task", "mnist_24x32"))
     require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
+    merged = _merge(TASKS[task], content)
+    table = merged.pop("recipe", {})
+    require(isinstance(table, dict), "recipe is not valid: use a table")
+    base = scenes(str(merged.get("data", "mnist")), colour=colour)
     with _refused(f"task {task}" if path is None else str(path)):
-        return FreshSettings.model_validate(_merge(TASKS[task], content))
+        recipe = Recipe.model_validate(_merge(base.model_dump(), _with_nulls(Recipe, table)))
+        return FreshSettings.model_validate(merged | {"recipe": recipe})
 
 
 @contextmanager

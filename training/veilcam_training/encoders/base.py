@@ -101,6 +101,10 @@ class Encoder(nn.Module, ABC):
     def project(self) -> None:
         """Bring the parameters back into what the device can show, after an optimiser's step."""
 
+    def penalty(self) -> Tensor | float:
+        """Return what a fit adds to its loss, a scalar: by default nothing."""
+        return 0.0
+
 
 class LinearEncoder(Encoder):
     """A camera as ``v = x T``, with one T for all images of a step."""

@@ -1,8 +1,8 @@
-"""The best linear estimate of the scene behind the one mask of a camera, and how sure it is.
+"""The best linear estimate of the scene behind the one mask of a camera.
 
 It is what :mod:`veilcam_optics.decoding` decodes behind fresh masks, of a camera whose mask is
-learned or fixed: an affine function of the measurement that follows the mask as it is learned.
-Behind a mask that stays, it is a fully connected layer like any other, and leaves as one.
+learned or fixed: an affine function of the measurement. Behind a mask that stays, it is one or two
+fully connected layers like any other, and leaves as them.
 """
 
 import math
@@ -10,32 +10,41 @@ import math
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneStatistics
-from veilcam_optics.decoding.decoder import prepare_decoder
-from veilcam_training.bundle.fresh import FEATURES, classifier_inputs
+from veilcam_optics.decoding import (
+    Decoder,
+    MeasurementNoise,
+    SceneStatistics,
+    prepare_decoder,
+    unknown_share,
+)
+from veilcam_training.bundle.layers import Linear
 from veilcam_training.encoders.base import LinearEncoder
 from veilcam_training.encoders.fresh import pooled
 from veilcam_training.encoders.masks import LearnedMask
 from veilcam_training.errors import TrainingError, require
 
-SHARPENING_STEPS = 60
-SHARPENING_RATE = 0.05
+MASK_STEPS = 120
+MASK_RATE = 0.05
 """Of Adam, at first; weights have a range of 1."""
+MASK_RANK = 384
+"""Principal components that a mask is learned for."""
 SPARSE = 16.0
-"""Power of the random weights that a mask is sharpened from: few open sub-pixels keep contrast."""
+"""Power of the random weights that a mask without a bound on its copies is learned from: few open
+sub-pixels keep contrast."""
 
 MAX_PIXELS = 4096
-"""Of a scene: its covariance is a matrix of so many rows, and fitted in a minute."""
+"""Of a scene: its covariance is a matrix of so many rows, three times as many in colour."""
 
 
 class SceneEstimate(nn.Module):
-    """Estimate of scenes from measurements, with the posterior deviation, one after the other.
+    """Estimate of scenes from measurements.
 
     Nothing is known of scenes until :meth:`learn`: all of them are taken to be black.
 
     Args:
-        encoder: the camera, gray, with one grid. It is looked at, and no part of this module.
+        encoder: the camera, with one grid. It is looked at, and no part of this module.
         snr_db: signal-to-noise ratio to expect of a measurement [dB]; None for no noise.
+        rank: principal components of the scene, a dial of accuracy against time.
         pooling: side of a pixel of the estimate, in scene pixels.
 
     Raises:
@@ -46,30 +55,49 @@ class SceneEstimate(nn.Module):
     basis: Tensor
     residual: Tensor
 
-    def __init__(self, encoder: LinearEncoder, snr_db: float | None, pooling: int = 1) -> None:
+    def __init__(
+        self, encoder: LinearEncoder, snr_db: float | None, rank: int, pooling: int = 1
+    ) -> None:
         super().__init__()
-        scene = encoder.setup.scene
-        pixels = scene.rows * scene.columns
+        setup = encoder.setup
+        pixels = setup.scene.rows * setup.scene.columns
         require(
             pixels <= MAX_PIXELS,
-            f"a scene of {scene.rows} x {scene.columns} pixels is too large to estimate: use "
-            f"pictures of at most {MAX_PIXELS} pixels, or a classifier of measurements",
+            f"a scene of {setup.scene.rows} x {setup.scene.columns} pixels is too large to "
+            f"estimate: use pictures of at most {MAX_PIXELS} pixels, or a classifier of "
+            "measurements",
         )
-        self.scene = pooled(scene, pooling)
+        self.scene = pooled(setup.scene, pooling)
+        self.channels, self.inputs = setup.channels, setup.outputs
+        self.rank = min(rank, self.channels * pixels)
         self._encoder = (encoder,)  # in a tuple, so that it is registered once alone
         # 200 dB is as good as none: a decoder takes a finite number.
         self._noise = MeasurementNoise(200.0 if snr_db is None else snr_db)
         self._pooling = pooling
         self._known: Decoder[Tensor] | None = None
         # Made again from the training images wherever a fit is taken up: no part of a checkpoint.
-        self.register_buffer("mean", torch.zeros(pixels), persistent=False)
-        self.register_buffer("basis", torch.zeros(pixels, 1), persistent=False)
-        self.register_buffer("residual", torch.zeros(pixels), persistent=False)
+        black = torch.zeros(self.channels * pixels)
+        self.register_buffer("mean", black, persistent=False)
+        self.register_buffer("basis", black[:, None].expand(-1, self.rank), persistent=False)
+        self.register_buffer("residual", black.clone(), persistent=False)
 
     @property
     def outputs(self) -> int:
         """Number of values that it gives."""
-        return len(FEATURES) * self.scene.rows * self.scene.columns
+        return self.channels * self.scene.rows * self.scene.columns
+
+    @property
+    def layers(self) -> tuple[Linear, ...]:
+        """Records of the layers that :meth:`as_layers` gives."""
+        if self._low_rank:
+            first = Linear(inputs=self.inputs, outputs=self.rank)
+            return first, Linear(inputs=self.rank, outputs=self.outputs)
+        return (Linear(inputs=self.inputs, outputs=self.outputs),)
+
+    @property
+    def _low_rank(self) -> bool:
+        """True where two layers take fewer products than one."""
+        return self.rank * (self.inputs + self.outputs) < self.inputs * self.outputs
 
     def learn(self, statistics: SceneStatistics[Tensor]) -> None:
         """Take ``statistics`` of scenes, in pixels of the scene, to be what is known of them."""
@@ -79,56 +107,60 @@ class SceneEstimate(nn.Module):
         self._known = None
 
     def forward(self, measurements: Tensor) -> Tensor:
-        """(batch, ``outputs``) from measurements (batch, embedding pixels)."""
-        return classifier_inputs(self._decoder(), measurements)
+        """(batch, ``outputs``) from measurements (batch, embedding values)."""
+        mean, basis = self._shown
+        estimate: Tensor = mean + self._decoder().coordinates(measurements) @ basis.T
+        return estimate
 
-    def sharpen(self) -> float:
+    def learn_mask(self) -> float:
         """Learn the mask whose measurements leave least of the scenes unknown, without labels.
 
-        What falls is the expected error of the estimate, a function of mask and statistics alone:
-        no image is shown, so it takes seconds.
+        What falls is the expected error of the estimate, a function of mask and statistics alone,
+        and the penalty of the mask's encoder. No image is shown, so it takes less than a minute.
 
         Returns:
-            The share of the estimate's variance that is left unknown, in [0, 1].
+            The share of the scenes' variance that is left unknown, in [0, 1].
 
         Raises:
             TrainingError: an encoder that learns no mask.
         """
         (encoder,) = self._encoder
         if not isinstance(encoder, LearnedMask):
-            raise TrainingError(
-                "only a mask that is learned can be sharpened: leave out mask_start"
-            )
-        with torch.no_grad():
-            encoder.weights.pow_(SPARSE)
+            raise TrainingError("this encoder learns no mask: use the encoder 'learned'")
+        known = SceneStatistics(self.mean, self.basis, self.residual)
+        known = known.truncate(min(MASK_RANK, self.rank))
+        if not encoder.hidden:
+            with torch.no_grad():
+                encoder.weights.pow_(SPARSE)
         encoder.project()
-        optimiser = torch.optim.Adam([encoder.weights], SHARPENING_RATE)
-        for step in range(SHARPENING_STEPS):
-            falling = (1 + math.cos(math.pi * step / SHARPENING_STEPS)) / 2
-            optimiser.param_groups[0]["lr"] = SHARPENING_RATE * falling
-            loss = self._unknown(encoder)
+        optimiser = torch.optim.Adam([encoder.weights], MASK_RATE)
+        for step in range(MASK_STEPS):
+            falling = (1 + math.cos(math.pi * step / MASK_STEPS)) / 2
+            optimiser.param_groups[0]["lr"] = MASK_RATE * falling
+            loss = unknown_share(encoder.transfer(), known, self._noise) + encoder.penalty()
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             encoder.project()
         encoder.zero_grad()
         with torch.no_grad():
-            return self._unknown(encoder).item()
-
-    def _unknown(self, encoder: LinearEncoder) -> Tensor:
-        variance = self._pooled(self.basis.T).square().sum() + self._shown_residual.sum()
-        return self._prepare(encoder).deviation.square().sum() / variance
+            return unknown_share(encoder.transfer(), known, self._noise).item()
 
     @torch.no_grad()
-    def as_linear(self) -> nn.Linear:
-        """Return the same as a fully connected layer, for the mask as it is now."""
-        decoder = self._decoder()
-        matrix = decoder.basis @ decoder.estimator
-        layer = nn.Linear(matrix.shape[1], self.outputs, device=matrix.device)
-        layer.weight.copy_(torch.cat([matrix, torch.zeros_like(matrix)]))
-        offset = decoder.mean - matrix @ decoder.mean_measurement
-        layer.bias.copy_(torch.cat([offset, decoder.deviation.flatten()]))
-        return layer
+    def as_layers(self) -> list[nn.Linear]:
+        """Return the same as fully connected layers, for the mask as it is now."""
+        decoder, (mean, basis) = self._decoder(), self._shown
+        offset = -decoder.estimator @ decoder.mean_measurement
+        maps = [(decoder.estimator, offset), (basis, mean)]
+        if not self._low_rank:
+            maps = [(basis @ decoder.estimator, mean + basis @ offset)]
+        layers = []
+        for matrix, bias in maps:
+            layer = nn.Linear(matrix.shape[1], matrix.shape[0], device=matrix.device)
+            layer.weight.copy_(matrix)
+            layer.bias.copy_(bias)
+            layers.append(layer)
+        return layers
 
     def _decoder(self) -> Decoder[Tensor]:
         """Return the decoder of the camera as it is now; made once for a constant camera."""
@@ -140,29 +172,22 @@ class SceneEstimate(nn.Module):
         return self._known
 
     def _prepare(self, encoder: LinearEncoder) -> Decoder[Tensor]:
-        whole = SceneStatistics(self.mean, self.basis, self.residual)
-        shown = SceneStatistics(
-            self._pooled(self.mean),
-            self._pooled(self.basis.T).T,
-            self._shown_residual,
-        )
         return prepare_decoder(
             encoder.transfer(),
-            whole,
+            SceneStatistics(self.mean, self.basis, self.residual),
             self._noise,
-            scene=self.scene,
+            scene=encoder.setup.scene,
             embedding=encoder.setup.embedding,
-            wanted=shown,
         )
 
     @property
-    def _shown_residual(self) -> Tensor:
-        """Return the residual: the basis leaves each pixel independent of its neighbours."""
-        return self._pooled(self.residual) / self._pooling**2
+    def _shown(self) -> tuple[Tensor, Tensor]:
+        """Mean and basis in pixels of the estimate."""
+        return self._pooled(self.mean), self._pooled(self.basis.T).T
 
     def _pooled(self, values: Tensor) -> Tensor:
         """Means over the scene's pixels, the last axis, within each pixel of the estimate."""
         (rows, columns), side = self.scene.shape, self._pooling
-        parts = values.reshape(*values.shape[:-1], rows, side, columns, side)
-        means: Tensor = parts.mean((-3, -1)).flatten(-2)
+        parts = values.reshape(*values.shape[:-1], self.channels, rows, side, columns, side)
+        means: Tensor = parts.mean((-3, -1)).flatten(-3)
         return means

@@ -1,12 +1,12 @@
 """The camera whose mask changes all the time: masks from a distribution, and measurements decoded.
 
 Small embeddings tell little apart behind a mask drawn uniformly. So the distribution itself may be
-learned, together with the classifier: not a mask, but where the key may draw. The ranges are
-public; each mask is drawn within them, is used and forgotten.
+learned, before the classifier: not a mask, but where the key may draw. The ranges are public; each
+mask is drawn within them, is used and forgotten.
 """
 
 import itertools
-from collections import deque
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Self
@@ -20,7 +20,13 @@ from torch.nn.functional import avg_pool2d
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.camera.imperfections import Imperfections, Spreads
 from veilcam_optics.camera.masks import quantise, to_weights
-from veilcam_optics.decoding import Decoder, SceneFrame, SceneStatistics, fit_statistics
+from veilcam_optics.decoding import (
+    Decoder,
+    SceneFrame,
+    SceneStatistics,
+    fit_statistics,
+    unknown_share,
+)
 from veilcam_optics.keys.masks import KEY_BYTES, Levels, MaskDistribution, draw_levels
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.regions import Region
@@ -34,7 +40,10 @@ from veilcam_training.transforms.scene import Transform
 
 STATISTICS_BATCH = 2000
 STATISTICS_SCENES = 30_000
-"""How many scenes the statistics are made from, at most."""
+"""Scenes that the statistics are made from, at most; of colour, a third of them."""
+RANGE_STEPS = 120
+RANGE_RATE = 0.05
+"""Of Adam, at first; the centres have a range of 1."""
 
 
 class Misalignment(BaseModel, frozen=True, extra="forbid", strict=True):
@@ -101,16 +110,22 @@ class PreparedMask:
     """A mask as the camera has it: what it does to scenes, and how that is undone."""
 
     transfer: Tensor = field(repr=False)
-    """Of the camera as it is, (scene pixels, embedding pixels)."""
+    """Of the camera as it is, (scene pixels, embedding pixels), three of them in colour."""
     decoder: Decoder = field(repr=False)
     """Of the camera as it is thought to be."""
 
     def embed(self, scenes: Tensor) -> Tensor:
-        """Noiseless measurements (batch, embedding pixels) of scenes (batch, rows, columns)."""
-        return scenes.flatten(1) @ self.transfer
+        """Noiseless measurements (batch, embedding values) of scenes.
+
+        Args:
+            scenes: (batch, rows, columns), or (batch, 3, rows, columns) in colour.
+        """
+        if self.transfer.ndim == 2:
+            return scenes.flatten(1) @ self.transfer
+        return torch.einsum("bcp,cpe->bce", scenes.flatten(2), self.transfer).flatten(1)
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """Input of the classifier, (batch, features x pixels of the decoded scene)."""
+        """Input of the classifier, (batch, values of the decoded scene)."""
         return classifier_inputs(self.decoder, measurements)
 
 
@@ -120,10 +135,6 @@ class MaskSchedule:
 
     seed: int
     """Of the keys that they come from, and of the panels that show them."""
-    masks: int = 1
-    """In use at a time, in a fit; a batch is spread evenly over them."""
-    renewed: int = 1
-    """How many of them are replaced before every step of a fit."""
     misalignment: Misalignment | None = None
 
 
@@ -146,13 +157,12 @@ class FreshCamera(Encoder):
     ) -> None:
         super().__init__(setup)
         self._frame, self.source, self.schedule = frame, source, schedule
-        self.trainable = isinstance(source, LearnedRange)
         self.decoding = frame.decoding()
         # Held in a dictionary: kernels are constants of the camera and belong in no state_dict.
         self._panels: dict[str, tuple[LightOperator, ...]] = {"": make_operators(setup)}
-        self.coming: Iterator[tuple[PreparedMask, ...]] = iter(())
-        """Masks of the steps to come, e.g. of :meth:`rings`."""
-        self._ring: tuple[PreparedMask, ...] = ()
+        self.coming: Iterator[PreparedMask] = iter(())
+        """Masks to come, one for each batch of scenes."""
+        self._mask: PreparedMask | None = None
 
     @property
     def distribution(self) -> MaskDistribution:
@@ -167,33 +177,42 @@ class FreshCamera(Encoder):
         return replace(self._frame, distribution=self.distribution)
 
     def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
-        """Noiseless embeddings of whole scenes, spread evenly over the masks of the next step.
+        """Noiseless embeddings of whole scenes behind the next mask.
 
         Raises:
-            TrainingError: a part or another grid, or scenes that cannot be spread evenly.
+            TrainingError: a part or another grid.
         """
         if part is not None or grid:
             raise TrainingError("fresh masks take whole scenes on one grid: show them as they are")
-        self._ring = next(self.coming)
-        require(
-            len(scenes) % len(self._ring) == 0,
-            f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
-            "batch that masks, times processes, divide",
-        )
-        return self._each(PreparedMask.embed, scenes)
+        self._mask = next(self.coming)
+        return self._mask.embed(scenes)
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """Input of the classifier, from measurements behind the masks of the last scenes."""
-        return self._each(lambda mask, part: mask.decode(part), measurements)
+        """Input of the classifier, from measurements behind the mask of the last scenes."""
+        if self._mask is None:
+            raise TrainingError("no mask is shown yet: give scenes first")
+        return self._mask.decode(measurements)
 
-    def _each(self, act: Callable[[PreparedMask, Tensor], Tensor], values: Tensor) -> Tensor:
-        parts = values.chunk(len(self._ring))
-        return torch.cat([act(*pair) for pair in zip(self._ring, parts, strict=True)])
+    def learn_range(self) -> None:
+        """Learn the ranges that leave least of the scenes unknown, without labels or images.
 
-    def project(self) -> None:
-        """Bring what is learned back into what the panel can show."""
-        if isinstance(self.source, LearnedRange):
+        Each step draws a mask; what falls is the expected error of the estimate behind it.
+        """
+        if not isinstance(self.source, LearnedRange):
+            return
+        random = stream(self.schedule.seed, "range")
+        optimiser = torch.optim.Adam(self.source.parameters(), RANGE_RATE)
+        known = self.decoding
+        for step in range(RANGE_STEPS):
+            falling = (1 + math.cos(math.pi * step / RANGE_STEPS)) / 2
+            optimiser.param_groups[0]["lr"] = RANGE_RATE * falling
+            transfer = known.operator(self.source(random))
+            loss = unknown_share(transfer, known.statistics, known.noise)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
             self.source.project()
+        self.source.requires_grad_(False)
 
     def panels(self, purpose: str) -> tuple[LightOperator, ...]:
         """Return the camera as it may be built: displaced panels, others per purpose."""
@@ -251,28 +270,8 @@ class FreshCamera(Encoder):
         transfer = panel(weights).to(weights.dtype)  # a small tolerance is planned in float64
         return PreparedMask(transfer, self.decoding.prepare(weights))
 
-    def rings(self, *purpose: str | int) -> Iterator[tuple[PreparedMask, ...]]:
-        """Yield the masks in use at each step; the oldest are replaced after a few steps."""
-        count, renewed = self.schedule.masks, self.schedule.renewed
-        if isinstance(self.source, LearnedRange):
-            # All of them: a gradient cannot pass through a step that is over.
-            source, renewed = self._learned_masks(self.source, *purpose), count
-        else:
-            source = self.masks(*purpose)
-        ring = deque(itertools.islice(source, count), count)
-        while True:
-            yield tuple(ring)
-            ring.extend(itertools.islice(source, renewed))
-
-    def _learned_masks(self, ranges: LearnedRange, *purpose: str | int) -> Iterator[PreparedMask]:
-        panels, random = self.panels(str(purpose[0])), stream(self.schedule.seed, *purpose)
-        while True:
-            yield self.prepare(ranges(random), panels, random)
-
-    def one_by_one(
-        self, *purpose: str | int, wrong_key: bool = False
-    ) -> Iterator[tuple[PreparedMask, ...]]:
-        """One mask at each step, none of them twice.
+    def one_by_one(self, *purpose: str | int, wrong_key: bool = False) -> Iterator[PreparedMask]:
+        """Yield a mask for each batch, none of them twice.
 
         Args:
             purpose: masks for one are never those for another.
@@ -280,7 +279,7 @@ class FreshCamera(Encoder):
         """
         source = self.masks(*purpose)
         for mask in source:
-            yield (replace(mask, decoder=next(source).decoder) if wrong_key else mask,)
+            yield replace(mask, decoder=next(source).decoder) if wrong_key else mask
 
 
 def pooled(scene: Scene, side: int) -> Scene:
@@ -294,7 +293,13 @@ def pooled(scene: Scene, side: int) -> Scene:
 
 
 def scene_statistics(
-    training: Images, change: Transform, *, pooling: int, rank: int, seed: int
+    training: Images,
+    change: Transform,
+    *,
+    pooling: int,
+    rank: int,
+    seed: int,
+    mirrored: bool = False,
 ) -> SceneStatistics:
     """Statistics of decoded scenes, from training images shown as they will be.
 
@@ -304,13 +309,19 @@ def scene_statistics(
         pooling: side of a pixel of the decoded scene, in scene pixels.
         rank: principal components to keep.
         seed: seed of the choice of images and of their places.
+        mirrored: True takes each scene's mirror image for a scene, too.
     """
     places = stream(seed, "statistics")
-    order = torch.randperm(len(training), generator=places)[:STATISTICS_SCENES]
+    colour = training.pixels.ndim == 4
+    most = STATISTICS_SCENES // 3 if colour else STATISTICS_SCENES
+    order = torch.randperm(len(training), generator=places)[:most]
 
     def batches() -> Iterator[Tensor]:
         for chosen in torch.split(order, STATISTICS_BATCH):
             scenes = change(training.scenes(chosen), places)
-            yield avg_pool2d(scenes[:, None], pooling)[:, 0]
+            scenes = avg_pool2d(scenes if colour else scenes[:, None], pooling)
+            yield scenes
+            if mirrored:
+                yield scenes.flip(-1)
 
     return fit_statistics(batches(), rank)

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders.base import LinearEncoder, Setup
+from veilcam_training.encoders.copies import Copies
 from veilcam_training.encoders.imperfections import PanelErrors, make_places
 
 NO_ERRORS = PanelErrors()
@@ -79,6 +80,8 @@ class LearnedMask(Mask):
         super().__init__(setup, generator, errors)
         self.weights = nn.Parameter(self._drawn.clone())
         self.closed = 0.3 / (setup.camera.panel.levels - 1)
+        self._least = 0.0
+        self._copies: tuple[Copies, ...] = ()
 
     def start_from_pinhole(self) -> None:
         """Open one pixel, a sub-pixel of each colour, at the middle; dim all others to ``GROUND``.
@@ -101,10 +104,39 @@ class LearnedMask(Mask):
             shown = shown + (self.closed - shown).clamp_min(0).detach()
         return self._transfer(shown, part, grid)
 
-    def hold(self) -> None:
-        """Keep the mask as it is now: what follows learns to read behind it."""
-        self.weights.requires_grad_(False)
-        self.constant = not self.errors.any
+    def hold(self, *, held: bool = True) -> None:
+        """Keep the mask as it is now: what follows learns to read behind it.
+
+        Args:
+            held: False lets it be learned again.
+        """
+        self.weights.requires_grad_(not held)
+        self.constant = held and not self.errors.any
+
+    def hide(self, least: float) -> None:
+        """Have a fit keep the scene's copies many, so that no eye sees one.
+
+        Args:
+            least: least count of copies, as a share of that of random masks; 0 asks for none.
+        """
+        self._least = least
+        if least and not self._copies:  # in a tuple: they are constants, and in no state_dict
+            setup = self.setup
+            copies = Copies(setup.camera, setup.scene, colour=setup.colour)
+            self._copies = (copies.to(self.weights.device),)
+
+    @property
+    def hidden(self) -> bool:
+        """True where the copies are kept many."""
+        return self._least > 0
+
+    def penalty(self) -> Tensor | float:
+        """Return the penalty of too few copies, a scalar."""
+        if not self.hidden:
+            return 0.0
+        (copies,) = self._copies
+        penalty: Tensor = copies(self.weights, self._least)
+        return penalty
 
     def project(self) -> None:
         """Bring the weights back into [closed, 1]."""

@@ -179,7 +179,7 @@ def fresh_inputs(
         levels = draw_levels(key, camera=used.camera, distribution=fresh.distribution)
         decoder = decoding.prepare(used.shown(levels))
         values = measurements.values[own_places].numpy()
-        decoded = classifier_inputs(decoder, values, fresh.features)
+        decoded = classifier_inputs(decoder, values)
         inputs[own_places] = torch.from_numpy(decoded).float()
     return inputs
 

@@ -1,9 +1,10 @@
 """One fit from its settings: data, camera and classifier are made, fitted and tested once."""
 
+import math
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,7 +21,7 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.bundle import Accuracy, LightPlan, TransferError
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
-from veilcam_training.encoders import Mask, Setup
+from veilcam_training.encoders import LearnedMask, Mask, Setup
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.encoders.imperfections import plan_light
 from veilcam_training.errors import require
@@ -31,6 +32,7 @@ from veilcam_training.experiments.model import (
     prepare,
 )
 from veilcam_training.files import read_private, write_private
+from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.evaluation import evaluate
@@ -41,6 +43,13 @@ WRONG_KEY_IMAGES = 1000
 CHECKED_ENTRIES = 16
 """Of a transfer: an interval of a factor 1.5 to either side, in half a second of one core."""
 SEED_BITS = 63
+COPIES = (0.95, 1.15)
+"""Least share of the copies that random masks lay, of a mask that is to hide; and where an eye sees
+it all the same."""
+SECOND = 0.1
+"""Rate of the second stage of a fit, beside that of the first."""
+TEST_MASKS = 200
+"""Fresh masks that the test set is spread over, unless it is said."""
 
 SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
 
@@ -111,18 +120,21 @@ def run_fit(
     Raises:
         TrainingError: settings or data that cannot be used.
     """
-    model = make_model(settings, source, camera).to(device)
     parts, test = _read(source, device, training)
-    prepare(model, settings, parts.training)
-    fitted = fit(
-        model,
-        parts,
-        settings.recipe,
-        settings.seed,
-        checkpoint=checkpoint,
-        fingerprint=settings.fingerprint(source),
-        callbacks=callbacks,
-    )
+    for attempt, least in enumerate(COPIES if settings.recipe.hidden else (0.0,)):
+        model = make_model(settings, source, camera).to(device)
+        if isinstance(model.encoder, LearnedMask):
+            model.encoder.hide(least)
+        prepare(model, settings, parts.training)
+        fitted = _in_stages(
+            model,
+            parts,
+            settings,
+            checkpoint=_numbered(checkpoint, attempt),
+            fingerprint=settings.fingerprint(source),
+            callbacks=callbacks,
+        )
+        break
     result = evaluate(fitted.model, test, settings.seed, "test")
     return FitResult(
         settings,
@@ -130,6 +142,35 @@ def run_fit(
         Accuracy(result.accuracy, f"{source.name} test", len(test)),
         result.predictions,
     )
+
+
+def _in_stages(
+    model: LenslessClassifier,
+    parts: Split,
+    settings: Settings,
+    *,
+    checkpoint: Path | None,
+    fingerprint: str,
+    callbacks: Sequence[Callback],
+) -> Fit:
+    """Fit the classifier, and then mask and classifier together where that is asked for."""
+    recipe, seed = settings.recipe, settings.seed
+    go_on = partial(fit, fingerprint=fingerprint, callbacks=callbacks)
+    fitted = go_on(model, parts, recipe, seed, checkpoint=checkpoint)
+    if not (recipe.end_to_end and isinstance(model.encoder, LearnedMask)):
+        return fitted
+    model.encoder.hold(held=False)
+    second = recipe.model_copy(
+        update={"epochs": math.ceil(recipe.epochs / 2), "rate": SECOND * recipe.rate}
+    )
+    return go_on(model, parts, second, seed, checkpoint=_numbered(checkpoint, 9))
+
+
+def _numbered(checkpoint: Path | None, number: int) -> Path | None:
+    """Return the place of another checkpoint beside the first."""
+    if checkpoint is None or not number:
+        return checkpoint
+    return checkpoint.with_name(f"{checkpoint.stem}-{number}{checkpoint.suffix}")
 
 
 def light_plan(setup: Setup) -> LightPlan | None:
@@ -211,7 +252,7 @@ def run_fresh(
         settings: settings of the fit.
         source: the data set.
         camera: the device.
-        masks: number of masks to test on; by default one for each test image.
+        masks: number of masks to test on; by default ``TEST_MASKS``.
         device: device that computes.
         work: folder to leave statistics and checkpoints in; what is in it is taken up again.
         callbacks: called after every step and epoch.
@@ -220,11 +261,6 @@ def run_fresh(
         TrainingError: settings or data that cannot be used.
     """
     parts, test = _read(source, device)
-    require(
-        len(parts.training) >= settings.batch,
-        f"{len(parts.training)} training images do not fill a batch of {settings.batch}: "
-        "use a smaller batch",
-    )
     fingerprint = settings.fingerprint(source)
     statistics = _statistics(
         None if work is None else work / "statistics.checkpoint",
@@ -232,26 +268,29 @@ def run_fresh(
         lambda: fresh_statistics(settings, camera, source.scene, parts.training),
     )
     model = make_fresh_model(settings, source, camera, statistics).to(device)
+    model.encoder.learn_range()
     fitted = fit(
         model,
         parts,
-        settings,
+        settings.recipe,
         settings.seed,
-        masks=settings.validation_masks,
+        masks=(settings.masks, settings.validation_masks),
         checkpoint=None if work is None else work / "fit.checkpoint",
         fingerprint=fingerprint,
         callbacks=callbacks,
     )
 
-    def test_on(images: Images, *, wrong_key: bool) -> float:
+    tested = min(TEST_MASKS, len(test)) if masks is None else masks
+
+    def test_on(images: Images, batches: int, *, wrong_key: bool) -> float:
         model.wrong_key = wrong_key
-        batches = min(masks or len(images), len(images)) if wrong_key else masks or len(images)
         return evaluate(model, images, settings.seed, "test", batches=batches).accuracy
 
     some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
-    right, wrong = test_on(test, wrong_key=False), test_on(some, wrong_key=True)
+    right = test_on(test, tested, wrong_key=False)
+    wrong = test_on(some, min(tested, len(some)), wrong_key=True)
     accuracy = Accuracy(right, f"{source.name} test", len(test))
-    return FreshResult(settings, fitted, model.encoder, accuracy, masks or len(test), wrong)
+    return FreshResult(settings, fitted, model.encoder, accuracy, tested, wrong)
 
 
 def _read(

@@ -102,7 +102,7 @@ def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
 
 def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None:
     """Return the same of a fit for fresh masks."""
-    statistics = no_statistics(settings, camera, source.scene)
+    statistics = no_statistics(settings, camera, source.scene, colour=source.colour)
     model = make_fresh_model(settings, source, camera, statistics)
     record = provenance(settings.model_dump(mode="json"), {})
     _write_and_read(
@@ -111,10 +111,6 @@ def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None
 
 
 def _write_and_read(bundle: Bundle) -> None:
-    require(
-        bundle.channels == 1,
-        "no daemon takes a bundle in colour: use pictures in gray, or leave out --out",
-    )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "empty.veilcam"
         try:
@@ -272,6 +268,7 @@ def _of_fresh(
         camera=camera,
         scene=frame.scene,
         embedding=frame.embedding,
+        channels=3 if frame.colour else 1,
         mode="fresh",
         fresh=Fresh(
             distribution=encoder.distribution,

@@ -5,7 +5,6 @@ import torch
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.decoding import MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_training.bundle.fresh import FEATURES
 from veilcam_training.config.settings import FreshSettings, Settings, parse_embedding
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_encoder
@@ -22,9 +21,6 @@ from veilcam_training.models.classifiers import SceneTask, Task, make_layers, re
 from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.transforms.scene import Anywhere, Identity, Transform, make_transform
-
-FRESH_DROPOUT = 0.2
-"""Of a classifier's hidden layer behind fresh masks."""
 
 
 def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
@@ -55,22 +51,25 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         pinhole=settings.recipe.mask_start == "pinhole",
     )
     recipe, estimate = settings.recipe, None
-    if reads_scenes(settings.classifier) and not setup.colour and not setup.finer:
-        estimate = SceneEstimate(encoder, recipe.snr_db, recipe.pooling)
+    classes = len(source.labels)
+    if reads_scenes(settings.classifier) and not setup.finer:
+        estimate = SceneEstimate(encoder, recipe.snr_db, recipe.rank, recipe.pooling)
     task = Task(
         channels=setup.channels,
         rows=embedding.rows,
         columns=embedding.columns,
-        classes=len(source.labels),
+        classes=classes,
         rectified=encoder.trainable,
         normalisation=settings.recipe.normalisation,
         gain=white_gain(encoder),
         exposure=settings.recipe.exposure,
-        scene=None if estimate is None else _scene_task(estimate.scene, len(source.labels)),
+        estimate=None
+        if estimate is None
+        else (_scene_task(estimate.scene, setup.channels, classes), estimate.layers),
     )
     require(
-        recipe.mask_start != "sharp" or estimate is not None,
-        "mask_start 'sharp' is for classifiers that read the estimated scene: use ResNet<width>",
+        not recipe.end_to_end or estimate is not None,
+        "only a Scene classifier has a second stage: leave out end_to_end",
     )
     layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
     with seeded(settings.seed, "classifier"):
@@ -88,27 +87,31 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
 def prepare(model: LenslessClassifier, settings: Settings, training: Images) -> None:
     """Prepare a fit: a model that reads the estimate of scenes is told their statistics.
 
-    Then its mask is sharpened where it is to start so, and held where it is to stay.
+    Then its mask is learned, and held.
 
     Args:
         model: model of :func:`make_model`.
         settings: settings of its fit.
         training: images to fit it to.
     """
-    recipe, encoder = settings.recipe, model.encoder
-    if model.estimate is not None:
-        statistics = scene_statistics(
-            training, model.change, pooling=1, rank=recipe.rank, seed=settings.seed
-        )
-        model.estimate.learn(statistics)
-        if recipe.mask_start == "sharp":
-            model.estimate.sharpen()
-    if recipe.mask_rate == 0 and isinstance(encoder, LearnedMask):
-        encoder.hold()
+    if model.estimate is None:
+        return
+    statistics = scene_statistics(
+        training,
+        model.change,
+        pooling=1,
+        rank=model.estimate.rank,
+        seed=settings.seed,
+        mirrored=settings.recipe.jitter.mirror,
+    )
+    model.estimate.learn(statistics)
+    if isinstance(model.encoder, LearnedMask):
+        model.estimate.learn_mask()
+        model.encoder.hold()
 
 
-def _scene_task(scene: Scene, classes: int, *, centred: bool = True) -> SceneTask:
-    return SceneTask(len(FEATURES), scene.rows, scene.columns, classes, centred)
+def _scene_task(scene: Scene, channels: int, classes: int) -> SceneTask:
+    return SceneTask(channels, scene.rows, scene.columns, classes)
 
 
 def white_gain(encoder: LinearEncoder) -> float:
@@ -121,7 +124,12 @@ def white_gain(encoder: LinearEncoder) -> float:
 
 
 def make_fresh_camera(
-    settings: FreshSettings, camera: Camera, image: Scene, statistics: SceneStatistics
+    settings: FreshSettings,
+    camera: Camera,
+    image: Scene,
+    statistics: SceneStatistics,
+    *,
+    colour: bool = False,
 ) -> FreshCamera:
     """Return the camera that ``settings`` describe, its masks not learned yet.
 
@@ -130,14 +138,16 @@ def make_fresh_camera(
         camera: the device.
         image: size and distance at which the images are shown.
         statistics: public statistics of the decoded scenes; see :func:`fresh_statistics`.
+        colour: True for images in colour.
     """
-    shown = _fresh_change(settings, camera, image).scene
+    shown, recipe = _fresh_change(settings, camera, image).scene, settings.recipe
+    require(recipe.snr_db is not None, "a decoder expects noise: give snr_db a number")
     frame = SceneFrame(
         camera,
-        pooled(shown, settings.pooling),
+        pooled(shown, recipe.pooling),
         parse_embedding(settings.embedding),
         statistics,
-        MeasurementNoise(settings.snr_db, settings.model_error),
+        MeasurementNoise(recipe.snr_db or 0.0, settings.model_error),
     )
     source: MaskDistribution | LearnedRange
     if settings.spread is None:
@@ -145,8 +155,8 @@ def make_fresh_camera(
     else:
         centres = stream(settings.seed, "centres")
         source = LearnedRange(camera, settings.exponent, settings.spread, centres)
-    schedule = MaskSchedule(settings.seed, settings.masks, settings.renewed, settings.misalignment)
-    setup = Setup(camera, shown, frame.embedding, tolerance=settings.tolerance)
+    schedule = MaskSchedule(settings.seed, settings.misalignment)
+    setup = Setup(camera, shown, frame.embedding, colour=colour, tolerance=recipe.tolerance)
     return FreshCamera(frame, source, setup, schedule)
 
 
@@ -158,16 +168,15 @@ def make_fresh_model(
     Raises:
         TrainingError: an unknown classifier, or an embedding that is none.
     """
-    encoder = make_fresh_camera(settings, camera, source.scene, statistics)
-    centred = settings.placement == "centred"
-    task = _scene_task(encoder.frame.scene, len(source.labels), centred=centred)
-    layers = make_layers(settings.classifier, task, dropout=FRESH_DROPOUT)
+    encoder = make_fresh_camera(settings, camera, source.scene, statistics, colour=source.colour)
+    task = _scene_task(encoder.frame.scene, encoder.setup.channels, len(source.labels))
+    layers = make_layers(settings.classifier, task)
     with seeded(settings.seed, "classifier"):
         return FreshClassifier(
             encoder,
             layers,
             _fresh_change(settings, camera, source.scene),
-            mixed_precision=settings.bfloat16,
+            mixed_precision=settings.recipe.precision == "mixed",
         )
 
 
@@ -178,20 +187,23 @@ def fresh_statistics(
     return scene_statistics(
         training,
         _fresh_change(settings, camera, image),
-        pooling=settings.pooling,
-        rank=settings.rank,
+        pooling=settings.recipe.pooling,
+        rank=settings.recipe.rank,
         seed=settings.seed,
+        mirrored=settings.recipe.jitter.mirror,
     )
 
 
-def no_statistics(settings: FreshSettings, camera: Camera, image: Scene) -> SceneStatistics:
+def no_statistics(
+    settings: FreshSettings, camera: Camera, image: Scene, *, colour: bool
+) -> SceneStatistics:
     """Statistics of the same shape of black scenes, for a model that is not fitted."""
-    scene = pooled(_fresh_change(settings, camera, image).scene, settings.pooling)
-    black = torch.zeros(scene.rows * scene.columns)
+    scene = pooled(_fresh_change(settings, camera, image).scene, settings.recipe.pooling)
+    black = torch.zeros((3 if colour else 1) * scene.rows * scene.columns)
     return SceneStatistics(black, black[:, None], black + 1)
 
 
 def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
     if settings.placement == "centred":
         return Identity(image)
-    return Anywhere(image, camera, settings.pooling)
+    return Anywhere(image, camera, settings.recipe.pooling)

@@ -126,8 +126,7 @@ def model_card(bundle: Bundle, files: tuple[str, ...], command: str) -> str:
         f"a measurement of {rows} x {columns}"
         + (", R, G, B one after the other" if bundle.channels == 3 else "")
         if bundle.fresh is None
-        else f"{' and '.join(bundle.fresh.features)} of the decoded scene, "
-        f"{bundle.scene.rows} x {bundle.scene.columns} each"
+        else f"the decoded scene, {bundle.scene.rows} x {bundle.scene.columns}"
     )
     sections = (
         ("Classifiers", _classifiers(bundle, files, taken)),

@@ -1,26 +1,23 @@
 """Classifiers by name, as the layer records that a bundle holds.
 
-``LR``, ``FC<width>`` and ``VGG11`` are the paper's (``FC800`` has 800 hidden units); the others,
-``MLP<width>``, ``CNN<width>`` and ``ResNet<width>``, are ours. A ``ResNet<width>`` reads the scene
-that is estimated from a measurement, behind one mask as behind fresh ones; of decoded scenes there
-is a ``CNN<width>``, too.
+``LR``, ``FC<width>`` and ``VGG11`` are the paper's (``FC800`` has 800 hidden units). A
+``CNN<width>`` convolves a measurement. A ``Scene<width>`` reads the scene that is estimated from a
+measurement, gray or in colour, behind one mask as behind fresh ones.
 """
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import (
     GELU,
     Affine,
-    AveragePool,
     BatchNorm,
     Conv2d,
     Dropout,
     Flatten,
+    GlobalMaxPool,
     LayerNorm,
     LayerRecord,
     Linear,
@@ -41,10 +38,8 @@ VGG11 = (64, "pool", 128, "pool", 256, 256, "pool", 512, 512, "pool", 512, 512, 
 VGG_SIDE = 32
 LEAST_POOLED_SIDE = 6
 """A CNN halves the image while its shorter side is at least this long."""
-LEAST_SCENE_SIDE = 8
-"""One of decoded scenes halves them until a side is shorter than twice this."""
-SCENE_HIDDEN = 128
-"""Hidden units after its convolutions."""
+WHITENING = 2
+"""Side of the patches that a scene classifier's first layer takes."""
 
 
 Normalisation = Literal["shared", "per_pixel", "white"]
@@ -78,8 +73,8 @@ class Task:
     Batch normalisation is not free of units: it adds 1e-5 to every variance.
     """
     exposure: Exposure = "fixed"
-    scene: "SceneTask | None" = None
-    """What the scene is estimated as, for classifiers that read that; None if it cannot be."""
+    estimate: "tuple[SceneTask, Layers] | None" = None
+    """Estimated scenes, and the layers that estimate them; None if they cannot be estimated."""
 
     @property
     def inputs(self) -> int:
@@ -94,27 +89,26 @@ class Task:
 
 @dataclass(frozen=True)
 class SceneTask:
-    """Decoded scenes that go into a classifier, and what must come out."""
+    """Estimated scenes that go into a classifier, and what must come out."""
 
     channels: int
-    """Each as large as the scene."""
+    """1 gray, 3 in colour."""
     rows: int
     columns: int
     classes: int
-    centred: bool
-    """False averages over all places before the last layers, for objects anywhere."""
 
 
 def reads_scenes(name: str) -> bool:
-    """Return True if a classifier of measurements begins with the estimate of the scene."""
-    return name.startswith("ResNet")
+    """Return True if a classifier reads the estimate of the scene."""
+    return name.startswith("Scene")
 
 
 def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> Layers:
     """Layers of classifier ``name``; the last gives logits.
 
     Args:
-        name: one of ``OF_MEASUREMENTS`` or ``OF_SCENES``, with a number for ``<width>``.
+        name: one of ``OF_MEASUREMENTS``, with a number for ``<width>``; of estimated scenes it is
+            ``Scene<width>`` alone.
         task: inputs and outputs.
         dropout: probability, for those that have hidden layers.
 
@@ -122,12 +116,12 @@ def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> L
         TrainingError: an unknown name, or dropout that would have no effect.
     """
     if isinstance(task, SceneTask):
-        make_for_scene, width = _find(OF_SCENES, name)
-        return make_for_scene(task, width, dropout)
+        _, width = _find({SCENE: _estimated}, name)
+        return _scene(task, width, dropout)
     require(
-        task.normalisation != "white" or name.startswith(("FC", "MLP")),
+        task.normalisation != "white" or name.startswith("FC"),
         f"normalisation 'white' needs a hidden layer that takes all of a measurement: use it "
-        f"with FC or MLP, not with {name!r}",
+        f"with FC, not with {name!r}",
     )
     make, width = _find(OF_MEASUREMENTS, name)
     return make(task, width, dropout)
@@ -179,31 +173,6 @@ def _fully_connected(task: Task, width: int, dropout: float) -> Layers:
         BatchNorm(features=width),
         ReLU(),
         *_dropped(dropout),
-        Linear(inputs=width, outputs=task.classes),
-    )
-
-
-def _residual_mlp(task: Task, width: int, dropout: float) -> Layers:
-    """One hidden layer and two residual ones."""
-    block = Residual(
-        layers=(
-            Linear(inputs=width, outputs=width, bias=False),
-            BatchNorm(features=width),
-            GELU(),
-            *_dropped(dropout),
-            Linear(inputs=width, outputs=width),
-        )
-    )
-    return (
-        *_sensor(task),
-        Linear(inputs=task.inputs, outputs=width, bias=False),
-        BatchNorm(features=width),
-        GELU(),
-        *_dropped(dropout),
-        block,
-        block,
-        BatchNorm(features=width),
-        GELU(),
         Linear(inputs=width, outputs=task.classes),
     )
 
@@ -271,73 +240,55 @@ def _vgg11(task: Task, _: int, dropout: float) -> Layers:
     )
 
 
-def _of_stages(task: SceneTask, width: int, dropout: float, blocks: int) -> Layers:
-    """Return a residual network of stages.
+def _scene(task: SceneTask, width: int, dropout: float) -> Layers:
+    """Return a narrow network of three groups (after Jordan, arXiv:2404.00498).
 
-    A convolution halves the image at the start of every stage, and ``blocks`` residual blocks
-    follow. The first stage has ``width`` channels and each next one twice as many.
+    Its first layer is a whitening of small patches, which is computed and not fitted. Each group
+    halves the image, and the maximum over all places is classified.
     """
-    layers: list[LayerRecord] = [Reshape(shape=(task.channels, task.rows, task.columns))]
-    inputs, kernel, side = task.channels, 5, min(task.rows, task.columns)
-    while True:
-        layers += _convolution(inputs, width, kernel=kernel, stride=2)
-        block = (*_convolution(width, width), *_convolution(width, width)[:2])
-        layers += [Residual(layers=block), ReLU()] * blocks
-        side = math.ceil(side / 2)
-        if side < LEAST_SCENE_SIDE:
-            break
-        inputs, width, kernel = width, 2 * width, 3
-    if not task.centred:
-        layers.append(AveragePool())
-    layers.append(Flatten())
-    (features,) = output_shape(layers, task.channels * task.rows * task.columns)
-    return (
-        *layers,
-        *_dropped(dropout),
-        Linear(inputs=features, outputs=SCENE_HIDDEN, bias=False),
-        BatchNorm(features=SCENE_HIDDEN),
-        ReLU(),
-        Linear(inputs=SCENE_HIDDEN, outputs=task.classes),
-    )
+    require(not dropout, "a Scene classifier has no dropout: use dropout 0")
+    patch = task.channels * WHITENING**2
+    layers: list[LayerRecord] = [
+        Reshape(shape=(task.channels, task.rows, task.columns)),
+        BatchNorm(features=task.channels, dimensions=2),
+        Conv2d(inputs=task.channels, outputs=2 * patch, kernel=WHITENING, padding=0),
+        GELU(),
+    ]
+    inputs, side = 2 * patch, min(task.rows, task.columns) + 1 - WHITENING
+    require(side >= 2, f"scenes of {task.rows} x {task.columns} pixels are too small: use 3 x 3")
+    for outputs in (width, 4 * width, 4 * width):
+        layers.append(Conv2d(inputs=inputs, outputs=outputs, bias=False))
+        if side >= 2:
+            layers.append(MaxPool(kernel=2))
+            side //= 2
+        layers += [*_normal(outputs), Conv2d(inputs=outputs, outputs=outputs, bias=False)]
+        layers += _normal(outputs)
+        inputs = outputs
+    classify = Linear(inputs=inputs, outputs=task.classes, bias=False)
+    return (*layers, GlobalMaxPool(), classify, Affine(scale=1 / 9))
 
 
-def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
-    """One residual block a stage."""
-    return _of_stages(task, width, dropout, blocks=1)
-
-
-def _scene_residual(task: SceneTask, width: int, dropout: float) -> Layers:
-    """Two residual blocks a stage: deeper, for what is told apart by a few pixels of a scene."""
-    return _of_stages(task, width, dropout, blocks=2)
+def _normal(features: int) -> PlainLayers:
+    return BatchNorm(features=features, dimensions=2, epsilon=1e-12), GELU()
 
 
 def _estimated(task: Task, width: int, dropout: float) -> Layers:
-    """Return the same behind a first layer that estimates the scene, computed and never fitted."""
-    scene = task.scene
-    if scene is None:
+    """Return the same behind the layers that estimate the scene, computed and never fitted."""
+    if task.estimate is None:
         raise TrainingError(
-            "a ResNet reads the estimated scene, which is gray and as it is: use it without "
-            "colour and change, or use CNN<width> instead"
+            "a Scene classifier reads the estimated scene as it is: use it without change, or use "
+            "CNN<width> instead"
         )
-    require(
-        task.exposure == "fixed",
-        "exposure 'automatic' would take from a ResNet what its estimate is made of: use 'fixed'",
-    )
-    outputs = scene.channels * scene.rows * scene.columns
-    return (Linear(inputs=task.inputs, outputs=outputs), *_scene_residual(scene, width, dropout))
+    scene, estimate = task.estimate
+    return (*estimate, *_scene(scene, width, dropout))
 
 
+SCENE = "Scene<width>"
 OF_MEASUREMENTS: Mapping[str, Callable[[Task, int, float], Layers]] = {
     "LR": _linear,
     "FC<width>": _fully_connected,
-    "MLP<width>": _residual_mlp,
     "CNN<width>": _convolutional,
     "VGG11": _vgg11,
-    "ResNet<width>": _estimated,
+    SCENE: _estimated,
 }
 """Classifiers of measurements, by name."""
-OF_SCENES: Mapping[str, Callable[[SceneTask, int, float], Layers]] = {
-    "CNN<width>": _scene_convolutional,
-    "ResNet<width>": _scene_residual,
-}
-"""Classifiers of decoded scenes."""

@@ -16,6 +16,17 @@ from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import Identity, Transform
 
 
+def has_bfloat16(device: torch.device) -> bool:
+    """Return True if ``device`` has instructions for bfloat16; emulated ones are slow.
+
+    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
+    """
+    capabilities = torch.cpu.get_capabilities()
+    return device.type != "cpu" or any(
+        present for name, present in capabilities.items() if "bf16" in name
+    )
+
+
 class Draws(NamedTuple):
     """Random numbers of an epoch, or of an evaluation."""
 
@@ -33,11 +44,11 @@ class LenslessClassifier(nn.Module):
         layers: the classifier, made with fresh weights from torch's global generator.
         snr_db: signal-to-noise ratio of a measurement [dB]; None for no noise.
         change: transform that shows images to the camera; by default none.
-        mixed_precision: True lets the classifier's matrix products run in bfloat16. The optics and
-            the noise stay in float32.
+        mixed_precision: True lets the classifier run in bfloat16 in training, on a processor that
+            has it. The optics and the noise stay in float32.
         whitened: True has the classifier's first fully connected layer fitted in coordinates in
             which what it is given is white.
-        estimate: estimate of the scene, computed in the place of the first of ``layers``.
+        estimate: estimate of the scene, computed in the place of the first ``layers``.
     """
 
     def __init__(
@@ -56,19 +67,31 @@ class LenslessClassifier(nn.Module):
         self.change = Identity(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
         self.estimate = estimate
-        self.classifier = build_untrained(self.layers if estimate is None else self.layers[1:])
+        computed = 0 if estimate is None else len(estimate.layers)
+        self.classifier = build_untrained(self.layers[computed:])
         if whitened:
             whiten(self.classifier)
         if estimate is not None:  # all that follows are convolutions
             self.classifier.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
+    @property
+    def measures_once(self) -> bool:
+        """True where the classifier reads scenes that a camera has measured once and for all."""
+        return self.estimate is not None and self.encoder.constant
+
     def read(self, embeddings: Tensor, noise: torch.Generator) -> Tensor:
         """Logits for noiseless embeddings (batch, encoder.outputs), after fresh sensor noise."""
+        return self.classify(self.taken(embeddings, noise))
+
+    def taken(self, embeddings: Tensor, noise: torch.Generator) -> Tensor:
+        """Return the classifier's inputs for noiseless embeddings, after fresh sensor noise."""
         if self.snr_db is not None:
             embeddings = self.encoder.add_noise(embeddings, self.snr_db, noise)
         inputs = self.encoder.decode(embeddings)
-        if self.estimate is not None:
-            inputs = self.estimate(inputs)
+        return inputs if self.estimate is None else self.estimate(inputs)
+
+    def classify(self, inputs: Tensor) -> Tensor:
+        """Logits for inputs of the classifier."""
         if not self.is_mixed:
             logits: Tensor = self.classifier(inputs)
             return logits
@@ -81,12 +104,12 @@ class LenslessClassifier(nn.Module):
         copied = plain(self.classifier)
         if self.estimate is None:
             return copied
-        return nn.Sequential(self.estimate.as_linear(), *copied.children()).train(copied.training)
+        return nn.Sequential(*self.estimate.as_layers(), *copied.children()).train(copied.training)
 
     @property
     def is_mixed(self) -> bool:
-        """True if the classifier is to run in mixed precision now."""
-        return self.mixed_precision
+        """True if the classifier is to run in mixed precision now: in training alone."""
+        return self.mixed_precision and self.training and has_bfloat16(self.device)
 
     @property
     def device(self) -> torch.device:
@@ -164,22 +187,11 @@ class FreshClassifier(LenslessClassifier):
         """True evaluates with every measurement decoded by the key of another mask."""
 
     @property
-    def is_mixed(self) -> bool:
-        """True if the classifier is to run in mixed precision now: in training alone."""
-        return self.mixed_precision and self.training
-
-    def begin_epoch(self, seed: int, epoch: int) -> Draws:
-        """Return the random numbers of an epoch, and draw its masks."""
-        self.encoder.coming = self.encoder.rings("training", epoch)
-        return self._draws(seed, epoch)
+    def measures_once(self) -> bool:
+        """True: every image is measured behind a mask of its own, or of a few images."""
+        return True
 
     def begin_evaluation(self, seed: int, purpose: str) -> Draws:
         """Random numbers of an evaluation, and a new mask for each of its batches."""
         self.encoder.coming = self.encoder.one_by_one(purpose, wrong_key=self.wrong_key)
-        return self._draws(seed, purpose)
-
-    def _draws(self, seed: int, *purpose: str | int) -> Draws:
-        scenes = stream(seed, "images", *purpose)
-        if self.device.type == "cpu":  # one stream for all: the fits there are depend on it
-            return Draws(scenes, scenes)
-        return Draws(stream(seed, "images", *purpose, device=self.device), scenes)
+        return super().begin_evaluation(seed, purpose)

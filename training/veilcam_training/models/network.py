@@ -78,7 +78,7 @@ def _without_parameters(layer: LayerRecord) -> nn.Module:  # noqa: PLR0911 - as 
         case records.ReLU():
             return nn.ReLU()
         case records.GELU():
-            return nn.GELU()
+            return nn.GELU(approximate="tanh")
         case records.Dropout():
             return nn.Dropout(layer.probability)
         case records.Flatten():
@@ -89,8 +89,8 @@ def _without_parameters(layer: LayerRecord) -> nn.Module:  # noqa: PLR0911 - as 
             return nn.Upsample((layer.rows, layer.columns), mode="bilinear")
         case records.MaxPool():
             return nn.MaxPool2d(layer.kernel)
-        case records.AveragePool():
-            return nn.AdaptiveAvgPool2d((layer.rows, layer.columns))
+        case records.GlobalMaxPool():
+            return nn.Sequential(nn.AdaptiveMaxPool2d(1), nn.Flatten())
         case _:
             raise TypeError(f"no module is known for a layer of kind {layer.kind!r}")
 

@@ -23,7 +23,6 @@ class Evaluation:
     """int64 (count,)."""
 
 
-@torch.no_grad()
 def evaluate(
     model: LenslessClassifier,
     images: Images,
@@ -34,13 +33,34 @@ def evaluate(
 ) -> Evaluation:
     """Classify ``images``, each shown in one way and behind one draw of the noise.
 
+    Arguments and errors are those of :func:`measure`.
+    """
+    inputs = measure(model, images, seed, purpose, batches=batches)
+    return judge(model, inputs, images.labels)
+
+
+@torch.no_grad()
+def measure(
+    model: LenslessClassifier,
+    images: Images,
+    seed: int,
+    purpose: str,
+    *,
+    batches: int | None = None,
+    mirrored: bool = False,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """Return the classifier's inputs for ``images``, (count, inputs).
+
     Args:
         model: model on the device of the images.
-        images: images to classify.
+        images: images to measure.
         seed: seed of the draws.
-        purpose: purpose of the evaluation; each has its own draws, the same every time.
+        purpose: purpose of the measurement; each has its own draws, the same every time.
         batches: number of batches to divide the images into, about evenly; by default each has
             ``BATCH``. A camera with fresh masks has another one for each.
+        mirrored: True shows their mirror images.
+        dtype: type of the result.
 
     Raises:
         TrainingError: there are no images, or fewer than batches.
@@ -54,12 +74,29 @@ def evaluate(
     model.eval()
     draws = model.begin_evaluation(seed, purpose)
     places = torch.arange(len(images), device=images.labels.device)
-    loss, predictions = 0.0, []
+    taken = []
     for part in torch.split(places, BATCH) if batches is None else places.tensor_split(batches):
-        logits = model(images.scenes(part), *draws)
-        loss += cross_entropy(logits, images.labels[part], reduction="sum").item()
-        predictions.append(logits.argmax(1))
+        scenes = images.scenes(part)
+        embeddings = model.embed(scenes.flip(-1) if mirrored else scenes, draws.scenes)
+        taken.append(model.taken(embeddings, draws.noise).to(dtype))
     model.train(was_training)
-    predicted = torch.cat(predictions)
-    right = int((predicted == images.labels).sum())
-    return Evaluation(right / len(images), loss / len(images), predicted.cpu())
+    return torch.cat(taken)
+
+
+@torch.no_grad()
+def judge(model: LenslessClassifier, inputs: Tensor, labels: Tensor) -> Evaluation:
+    """Classify inputs of :func:`measure`.
+
+    Args:
+        model: model that they were measured with.
+        inputs: (count, inputs).
+        labels: int64 (count,).
+    """
+    was_training = model.training
+    model.eval()
+    logits = torch.cat([model.classify(part.float()) for part in torch.split(inputs, BATCH)])
+    model.train(was_training)
+    predicted = logits.argmax(1)
+    right = int((predicted == labels).sum())
+    loss = cross_entropy(logits, labels).item()
+    return Evaluation(right / len(labels), loss, predicted.cpu())

@@ -12,13 +12,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Split
 from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.scene import begin
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.evaluation import evaluate
-from veilcam_training.trainer.step import Hyperparameters, Inputs, make_optimiser, train_step
+from veilcam_training.trainer.evaluation import evaluate, judge, measure
+from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,10 @@ class Fit:
 def fit(
     model: LenslessClassifier,
     split: Split,
-    recipe: Hyperparameters,
+    recipe: Recipe,
     seed: int,
     *,
-    masks: int | None = None,
+    masks: tuple[int, int] | None = None,
     checkpoint: Path | None = None,
     fingerprint: str = "",
     callbacks: Sequence[Callback] = (),
@@ -52,8 +54,8 @@ def fit(
         split: images to fit to and to select with.
         recipe: settings of the fit.
         seed: seed of the order of the images, the noise and dropout.
-        masks: greatest number of masks that a validation is spread over; see
-            :func:`veilcam_training.trainer.evaluation.evaluate`.
+        masks: greatest numbers of fresh masks that the training part, and the validation part, is
+            measured behind; see :func:`veilcam_training.trainer.evaluation.measure`.
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: digest of all that the result depends on; guards the checkpoint.
         callbacks: called after every step and epoch.
@@ -61,20 +63,29 @@ def fit(
     Raises:
         TrainingError: a checkpoint of another fit, or a loss that is no number.
     """
+    training, validation = masks or (None, None)
+    inputs = Inputs(model, split.training, recipe, seed, masks=training)
+    if inputs.begun_with is not None:
+        begin(model.classifier, inputs.begun_with)
     average = MovingAverage(model, recipe.averaging) if recipe.averaging else None
     state = _State(model, recipe, average)
     if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
         state.load(saved)
-    inputs = Inputs(model, split.training, recipe.transform, mixup=recipe.mixup)
-    batches = None if masks is None else min(masks, len(split.validation))
+    batches = None if validation is None else min(validation, len(split.validation))
+    held: Tensor | None = None
+    if model.measures_once:
+        held = measure(model, split.validation, seed, "validation", batches=batches)
     watched = callbacks if average is None else (average, *callbacks)
     while not state.is_over:
         started = time.monotonic()
         with seeded(seed, "epoch", state.next_epoch):
-            inputs.draws = model.begin_epoch(seed, state.next_epoch)
+            inputs.begin_epoch(seed, state.next_epoch)
             loss, accuracy = _run_epoch(state, inputs, split.training.labels, seed, watched)
         with state.averaged():
-            result = evaluate(model, split.validation, seed, "validation", batches=batches)
+            if held is not None:
+                result = judge(model, held, split.validation.labels)
+            else:
+                result = evaluate(model, split.validation, seed, "validation", batches=batches)
             seconds = time.monotonic() - started
             epoch = Epoch(state.next_epoch, loss, accuracy, result.accuracy, result.loss, seconds)
             state.finish(epoch)
@@ -91,7 +102,7 @@ class _State:
     """All that changes during a fit."""
 
     def __init__(
-        self, model: LenslessClassifier, recipe: Hyperparameters, average: MovingAverage | None
+        self, model: LenslessClassifier, recipe: Recipe, average: MovingAverage | None
     ) -> None:
         self.model, self.recipe, self.average = model, recipe, average
         self.optimiser = make_optimiser(model, recipe)

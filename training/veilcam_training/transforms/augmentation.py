@@ -6,7 +6,7 @@ from typing import Annotated
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
-from torch.nn.functional import affine_grid, grid_sample
+from torch.nn.functional import pad
 
 from veilcam_training.transforms.warp import warp
 
@@ -24,6 +24,8 @@ class Augmentation(BaseModel):
     """Share of the image's sides."""
     mirror: bool = False
     """Left and right are swapped in one half of the images."""
+    crop: Annotated[int, Field(ge=0, le=16)] = 0
+    """Whole pixels that an image moves; what comes in is reflected at its edge."""
 
     @property
     def any(self) -> bool:
@@ -40,6 +42,10 @@ class Augmentation(BaseModel):
         Returns:
             The same shape; what comes in from outside is black.
         """
+        if self.crop:
+            images = _cropped(images, self.crop, generator)
+        if not (self.rotation or self.scale or self.shift or self.mirror):
+            return images
         count, (rows, columns) = len(images), images.shape[-2:]
         draw = 2 * torch.rand(5, count, generator=generator) - 1
         angle = math.radians(self.rotation) * draw[0]
@@ -56,35 +62,11 @@ class Augmentation(BaseModel):
         return warp(images, matrices, (rows, columns))
 
 
-class ShearedAugmentation(Augmentation):
-    """The same and a shear, in an image stretched to a square; as large as a fresh camera bears.
-
-    Unlike its base it draws a sixth number, and takes the shift in pixels: the published fits
-    behind fresh masks depend on both.
-    """
-
-    rotation: Annotated[float, Field(ge=0, le=180)] = 12.0
-    """[degrees]."""
-    scale: Annotated[float, Field(ge=0, lt=1)] = 0.12
-    """Share of the size."""
-    shift: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.5
-    """[pixels]."""
-    shear: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.15
-    """Columns by which a row moves, for each row from the middle."""
-
-    def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Each image changed in its own way, bilinearly; ``images`` are (batch, rows, columns)."""
-        count, rows, columns = images.shape
-        draw = 2 * torch.rand(6, count, generator=generator) - 1
-        angle, scale = math.radians(self.rotation) * draw[0], 1 + self.scale * draw[1]
-        matrix = torch.zeros(count, 2, 3)
-        matrix[:, 0, 0] = angle.cos() / scale
-        matrix[:, 0, 1] = (self.shear * draw[2] - angle.sin()) / scale
-        matrix[:, 1, 0] = angle.sin() / scale
-        matrix[:, 1, 1] = angle.cos() / scale
-        if self.mirror:
-            matrix[:, 0] *= torch.where(draw[5] < 0, -1.0, 1.0)[:, None]
-        matrix[:, 0, 2] = self.shift * draw[3] * 2 / columns
-        matrix[:, 1, 2] = self.shift * draw[4] * 2 / rows
-        grid = affine_grid(matrix, [count, 1, rows, columns], align_corners=False).to(images)
-        return grid_sample(images[:, None], grid, align_corners=False)[:, 0]
+def _cropped(images: Tensor, most: int, generator: torch.Generator) -> Tensor:
+    """Images moved by up to ``most`` whole pixels each way."""
+    count, (rows, columns) = len(images), images.shape[-2:]
+    planes = images.reshape(count, -1, rows, columns)
+    framed = pad(planes, (most,) * 4, "reflect")
+    windows = framed.unfold(2, rows, 1).unfold(3, columns, 1)
+    y, x = torch.randint(2 * most + 1, (2, count), generator=generator).to(images.device)
+    return windows[torch.arange(count, device=images.device), :, y, x].reshape(images.shape)

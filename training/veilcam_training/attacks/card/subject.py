@@ -180,13 +180,13 @@ def _read_fresh(bundle: Bundle) -> Reading:
     fresh = bundle.fresh
     if fresh is None:
         raise TrainingError("the bundle holds pairs: it has no reader of fresh masks")
-    reader, features = build_classifier(fresh.layers, fresh.weights).eval(), fresh.features
+    reader = build_classifier(fresh.layers, fresh.weights).eval()
 
     @torch.no_grad()
     def read(mask: VictimMask, measurements: Tensor) -> Tensor:
         if mask.decoder is None:
             raise TrainingError("a mask without a decoder is not read: give scene statistics")
-        scores: Tensor = reader(classifier_inputs(mask.decoder, measurements, features))
+        scores: Tensor = reader(classifier_inputs(mask.decoder, measurements))
         return scores
 
     return read
