@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any, Self
 
 import numpy as np
@@ -158,8 +160,9 @@ def _max_pool(layer: MaxPool, x: Values, _: Weights) -> Values:
     side = layer.kernel
     rows, columns = x.shape[2] // side, x.shape[3] // side
     whole = x[:, :, : rows * side, : columns * side]
-    squares = whole.reshape(*x.shape[:2], rows, side, columns, side)
-    largest: Values = squares.max(axis=(3, 5))
+    # One comparison of whole planes for each place in a square.
+    places = itertools.product(range(side), repeat=2)
+    largest: Values = reduce(np.maximum, (whole[:, :, y::side, z::side] for y, z in places))
     return largest
 
 
