@@ -19,7 +19,7 @@ from veilcam_training.errors import TrainingError, require
 from veilcam_training.labels import labels_fault
 
 NAME = "image-folder"
-LONGER_SIDE = 64
+LONGER_SIDE = 32
 """Of a scene [pixels] whose pictures are larger: two to one of the 32 columns of an embedding."""
 
 Length = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
@@ -30,7 +30,7 @@ class Description(BaseModel, frozen=True, extra="forbid", strict=True):
     """Contents of ``dataset.toml``; what it leaves out follows from the pictures."""
 
     rows: Side | None = None
-    """Of the scene, with ``columns``: the median picture's, reduced to 64 on its longer side."""
+    """Of the scene, with ``columns``: the median picture's, reduced to 32 on its longer side."""
     columns: Side | None = None
     height: Length = 0.27
     """How tall a picture stands before the camera [m]."""

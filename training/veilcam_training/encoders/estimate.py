@@ -32,8 +32,8 @@ SPARSE = 16.0
 """Power of the random weights that a mask without a bound on its copies is learned from: few open
 sub-pixels keep contrast."""
 
-MAX_PIXELS = 4096
-"""Of a scene: its covariance is a matrix of so many rows, three times as many in colour."""
+MAX_VALUES = 4096
+"""Of a scene, three for each pixel in colour: its covariance is a matrix of so many rows."""
 
 
 class SceneEstimate(nn.Module):
@@ -60,23 +60,23 @@ class SceneEstimate(nn.Module):
     ) -> None:
         super().__init__()
         setup = encoder.setup
-        pixels = setup.scene.rows * setup.scene.columns
+        values = setup.channels * setup.scene.rows * setup.scene.columns
         require(
-            pixels <= MAX_PIXELS,
+            values <= MAX_VALUES,
             f"a scene of {setup.scene.rows} x {setup.scene.columns} pixels is too large to "
-            f"estimate: use pictures of at most {MAX_PIXELS} pixels, or a classifier of "
-            "measurements",
+            f"estimate: use pictures of at most {MAX_VALUES // setup.channels} pixels, or a "
+            "classifier of measurements",
         )
         self.scene = pooled(setup.scene, pooling)
         self.channels, self.inputs = setup.channels, setup.outputs
-        self.rank = min(rank, self.channels * pixels)
+        self.rank = min(rank, values)
         self._encoder = (encoder,)  # in a tuple, so that it is registered once alone
         # 200 dB is as good as none: a decoder takes a finite number.
         self._noise = MeasurementNoise(200.0 if snr_db is None else snr_db)
         self._pooling = pooling
         self._known: Decoder[Tensor] | None = None
         # Made again from the training images wherever a fit is taken up: no part of a checkpoint.
-        black = torch.zeros(self.channels * pixels)
+        black = torch.zeros(values)
         self.register_buffer("mean", black, persistent=False)
         self.register_buffer("basis", black[:, None].expand(-1, self.rank), persistent=False)
         self.register_buffer("residual", black.clone(), persistent=False)
