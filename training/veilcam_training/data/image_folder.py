@@ -20,7 +20,7 @@ from veilcam_training.labels import labels_fault
 
 NAME = "image-folder"
 LONGER_SIDE = 32
-"""Of a scene [pixels] whose pictures are larger: two to one of the 32 columns of an embedding."""
+"""Of a scene whose pictures are larger [pixels]: as many as an embedding has columns."""
 
 Length = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
 Side = Annotated[int, Field(ge=1, le=512)]
