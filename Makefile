@@ -34,7 +34,7 @@ export MALLOC_MMAP_THRESHOLD_ := 268435456
 COMPUTING := $(BIN)/pytest -n 2 --dist worksteal
 WAITING := $(BIN)/pytest -n 4 --dist worksteal
 
-.PHONY: docs help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm test-vm-arm64 mutants clean
+.PHONY: docs help demo serve bundles check test stress siege test-libcamera lint types layers fast pytest test-vm test-vm-arm64 mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -55,6 +55,7 @@ help:
 	@echo "make test-deb  the package in a root of Debian 12; needs root, see deploy/README.md"
 	@echo "make test-arm64  the same on an emulated processor, in Debian 12 and 13: an hour"
 	@echo "make test-container   the container of a simulated daemon: builds, starts and asks it; needs root"
+	@echo "make bundles  both shipped bundles again, from MNIST in the folder DATA"
 	@echo "make test-clean-root  make demo in a root of Debian 13 with Python, git and make alone; needs root"
 	@echo "make public-types   how much of the SDK's surface has known types, as pyright counts it"
 	@echo "make accuracy  error against time of every way to compute light, drawn into build/accuracy"
@@ -85,6 +86,14 @@ demo: $(INSTALLED)
 serve: $(INSTALLED)
 	$(BIN)/veilcamd serve --simulate --scene-api --watch 2/s --port 8787 \
 		--bundle server/veilcam_server/demo_data/fresh.veilcam
+
+# Both shipped bundles again: DATA is the folder of MNIST. demo_data/README.md has minutes and digests.
+DEMO := server/veilcam_server/demo_data
+bundles: $(INSTALLED)
+	$(BIN)/veilcam-train keyring --data $(DATA) --pairs 6 --config $(DEMO)/keyring.toml \
+		--threads 1 --out $(DEMO)/keyring.veilcam
+	$(BIN)/veilcam-train fit-fresh --data $(DATA) --config $(DEMO)/fresh.toml \
+		--threads 1 --out $(DEMO)/fresh.veilcam
 
 check: lint types layers fast
 
