@@ -2,7 +2,7 @@
 
 import math
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -46,8 +46,8 @@ SEED_BITS = 63
 COPIES = (0.95, 1.15)
 """Least share of the copies that random masks lay, of a mask that is to hide; and where an eye sees
 it all the same."""
-SECOND = 0.1
-"""Rate of the second stage of a fit, beside that of the first."""
+SECOND: Mapping[str, object] = {"optimiser": "adam", "rate": 1e-3, "weight_decay": 0.0}
+"""Changes of the recipe in the second stage of a fit."""
 TEST_MASKS = 200
 """Fresh masks that the test set is spread over, unless it is said."""
 
@@ -160,9 +160,7 @@ def _in_stages(
     if not (recipe.end_to_end and isinstance(model.encoder, LearnedMask)):
         return fitted
     model.encoder.hold(held=False)
-    second = recipe.model_copy(
-        update={"epochs": math.ceil(recipe.epochs / 2), "rate": SECOND * recipe.rate}
-    )
+    second = recipe.model_copy(update={**SECOND, "epochs": math.ceil(recipe.epochs / 2)})
     return go_on(model, parts, second, seed, checkpoint=_numbered(checkpoint, 9))
 
 
