@@ -271,10 +271,11 @@ def unknown_share(
     powers = xp.sum(basis * basis, axis=0)
     lost = xp.sum(as_type(statistics.residual, "float64"))
     total = xp.sum(powers) + lost
+    total = xp.clip(total, float(xp.finfo(total.dtype).tiny), None)  # scenes that never change
     if scaled.shape[0] < scaled.shape[1]:
         half = solve_triangular(_factor(scaled @ scaled.T), scaled)
         told = xp.sum(half * half, axis=0) * powers
-        share: Array = 1 - xp.sum(told) / total
+        share: Array = (xp.sum(powers - told) + lost) / total
     else:
         roots = xp.eye(powers.shape[0], dtype=powers.dtype, device=device(powers)) * xp.sqrt(powers)
         left = solve_triangular(_factor(scaled.T @ scaled), roots)

@@ -103,13 +103,11 @@ ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
-Hidden = Annotated[
-    bool | None,
+AllowVisible = Annotated[
+    bool,
     typer.Option(
         "--allow-visible",
         help="Let a mask show pictures of the scene, which no daemon takes unless told to.",
-        callback=lambda allowed: False if allowed else None,
-        is_flag=True,
     ),
 ]
 EndToEnd = Annotated[
@@ -144,7 +142,7 @@ def fit_command(
     recipe: RecipeName = None,
     epochs: Epochs = None,
     batch: Batch = None,
-    hidden: Hidden = None,
+    allow_visible: AllowVisible = False,
     end_to_end: EndToEnd = None,
     seed: Seed = None,
     out: Annotated[Path | None, typer.Option("--out", help="Bundle to write, *.veilcam.")] = None,
@@ -167,7 +165,13 @@ def fit_command(
         binning=binning,
         change=change,
         seed=seed,
-        recipe=given(base=recipe, epochs=epochs, batch=batch, hidden=hidden, end_to_end=end_to_end),
+        recipe=given(
+            base=recipe,
+            epochs=epochs,
+            batch=batch,
+            hidden=False if allow_visible else None,
+            end_to_end=end_to_end,
+        ),
     )
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
@@ -214,7 +218,7 @@ def keyring_command(
     recipe: RecipeName = None,
     epochs: Epochs = None,
     batch: Batch = None,
-    hidden: Hidden = None,
+    allow_visible: AllowVisible = False,
     seed: Seed = None,
     work: Work = None,
     skip_damaged: SkipDamaged = False,
@@ -230,7 +234,9 @@ def keyring_command(
         encoder=encoder,
         embedding=embedding,
         seed=seed,
-        recipe=given(base=recipe, epochs=epochs, batch=batch, hidden=hidden),
+        recipe=given(
+            base=recipe, epochs=epochs, batch=batch, hidden=False if allow_visible else None
+        ),
     )
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data.resolve(), skip_damaged=skip_damaged)

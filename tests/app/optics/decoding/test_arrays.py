@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import random
 import subprocess
 import sys
@@ -66,11 +67,12 @@ def numpy_of(decoding: SceneDecoding) -> SceneDecoding[Transfer[Values]]:
     )
 
 
-def scenes_of(scene: Scene, generator: torch.Generator) -> Tensor:
+def scenes_of(scene: Scene, generator: torch.Generator, planes: tuple[int, ...] = ()) -> Tensor:
     """Random brightness over random noise: components of many strengths."""
-    count = 4 * scene.rows * scene.columns + 2
-    bright = torch.rand(count, 1, 1, generator=generator)
-    return bright * (0.5 + 0.5 * torch.rand(count, *scene.shape, generator=generator))
+    shape = (*planes, *scene.shape)
+    count = 4 * math.prod(shape) + 2
+    bright = torch.rand(count, *(1 for _ in shape), generator=generator)
+    return bright * (0.5 + 0.5 * torch.rand(count, *shape, generator=generator))
 
 
 def draw(seed: int, precision: Precision = Precision.DOUBLE) -> Job:
@@ -84,9 +86,12 @@ def draw(seed: int, precision: Precision = Precision.DOUBLE) -> Job:
     )
     scene = Scene(drawn.choice([1, 3, 5]), drawn.choice([1, 4]), height=0.03)
     embedding = Embedding(drawn.choice([1, 3, 6]), drawn.choice([1, 5]))
-    operator = TransferOperator(camera, scene, embedding, step=6e-6, dtype=dtype)
-    pixels = scene.rows * scene.columns
-    statistics = fit_statistics([scenes_of(scene, generator)], drawn.randint(1, pixels))
+    planes = drawn.choice([(), (3,)])
+    colour, channels = bool(planes), 3 if planes else 1
+    operator = TransferOperator(camera, scene, embedding, step=6e-6, dtype=dtype, colour=colour)
+    values = channels * scene.rows * scene.columns
+    seen = scenes_of(scene, generator, planes)
+    statistics = fit_statistics([seen], drawn.randint(1, values))
     noise = MeasurementNoise(drawn.choice([10.0, 40.0]), drawn.choice([0.0, 0.02]))
     decoding = SceneDecoding(operator, statistics, noise, precision=precision)
     double = torch.float64
@@ -97,8 +102,10 @@ def draw(seed: int, precision: Precision = Precision.DOUBLE) -> Job:
         decoding,
         numpy_of(decoding),
         mask.to(dtype),
-        0.5 + torch.rand(embedding.size, generator=generator) if gain is None else gain,
-        (torch.rand(3, *embedding.shape, generator=generator, dtype=double) / 20).to(dtype),
+        gain or 0.5 + torch.rand(channels * embedding.size, generator=generator),
+        (torch.rand(3, *planes, *embedding.shape, generator=generator, dtype=double) / 20).to(
+            dtype
+        ),
     )
 
 
@@ -109,7 +116,7 @@ def condition(decoder: Decoder) -> float:
 
 
 def arrays_of(decoder: Decoder[Any]) -> dict[str, Values]:
-    names = ("mean_measurement", "estimator", "noise", "response", "mean", "basis", "deviation")
+    names = ("mean_measurement", "estimator", "noise", "response", "mean", "basis")
     return {name: np.asarray(getattr(decoder, name)) for name in names}
 
 
@@ -126,7 +133,6 @@ def test_numpy_and_torch_give_the_same_decoder(seed: int) -> None:
         assert isinstance(found, np.ndarray), name
         assert found.dtype == wanted.dtype, name
         assert np.abs(found - wanted).max() <= allowed * np.abs(wanted).max(), name
-    assert numpy_s.remaining == pytest.approx(torch_s.remaining, abs=allowed)
     estimate = job.prepared()[0](job.measurements)
     found = numpy_s(job.measurements.numpy())
     assert found.shape == tuple(estimate.shape)
@@ -174,7 +180,7 @@ def test_rotation_is_the_same_bit_by_bit() -> None:
 
 def test_measurement_without_a_direction_gets_one_in_numpy() -> None:
     _, decoder = draw(2).prepared()
-    size = decoder.embedding.size
+    size = len(decoder.noise)
     assert size > 3
     whitening = Whitening(decoder, KEY)
     seen = np.ones((4, size))
@@ -206,7 +212,7 @@ def test_numpy_overwrites_what_is_erased(
     assert all(array.any() for array in own)
     whitening.erase()
     assert not any(array.any() for array in own)
-    secret = ("mean_measurement", "estimator", "noise", "response", "deviation")
+    secret = ("mean_measurement", "estimator", "noise", "response")
     assert all(getattr(decoder, name).any() for name in secret)
     decoder.erase()
     assert not any(getattr(decoder, name).any() for name in secret)
@@ -218,7 +224,7 @@ def test_numpy_is_refused_what_torch_is_refused() -> None:
     _, decoder = job.prepared()
     with pytest.raises(OpticsError, match=r"measurements\.shape"):
         decoder(np.zeros((2, 99)))
-    for gain in (0.0, np.nan, np.full(decoder.embedding.size, -1.0)):
+    for gain in (0.0, np.nan, np.full(len(decoder.noise), -1.0)):
         with pytest.raises(OpticsError, match="gain is not valid"):
             job.in_numpy.prepare(job.mask.numpy(), gain=gain)
     transfer = job.in_numpy.operator(job.mask.numpy())

@@ -29,6 +29,7 @@ from veilcam_optics.decoding import (
     SceneStatistics,
     fit_statistics,
     read_frame,
+    unknown_share,
     write_frame,
 )
 from veilcam_optics.decoding import decoder as decoder_module
@@ -48,6 +49,15 @@ DOUBLE = torch.float64
 STATISTICS = fit_statistics([smooth_scenes(SCENE, 4000, 0)], PIXELS)
 
 
+def coloured(count: int, seed: int) -> Tensor:
+    """Smooth scenes whose colours resemble each other, (count, 3, rows, columns)."""
+    gray, *own = (smooth_scenes(SCENE, count, 4 * seed + each) for each in range(4))
+    return 0.7 * gray[:, None] + 0.3 * torch.stack(own, 1)
+
+
+COLOURED = fit_statistics([coloured(2000, 10)], 3 * PIXELS)
+
+
 def mask(seed: int = 0) -> Tensor:
     return random_mask(CAMERA, seeded(seed))
 
@@ -59,40 +69,61 @@ def make(
     noise: MeasurementNoise = DEFAULT_NOISE,
     precision: Precision = Precision.DOUBLE,
 ) -> SceneDecoding:
-    operator = TransferOperator(CAMERA, SCENE, embedding, dtype=getattr(torch, precision.products))
+    dtype, colour = getattr(torch, precision.products), statistics.pixels > PIXELS
+    operator = TransferOperator(CAMERA, SCENE, embedding, colour=colour, dtype=dtype)
     return SceneDecoding(operator, statistics, noise, precision=precision)
 
 
+def response_of(decoding: SceneDecoding, weights: Tensor) -> Tensor:
+    """A, (embedding values, scene values), whole: in colour a block for each."""
+    transfer = decoding.operator(weights.double())
+    return torch.block_diag(*(transfer if transfer.ndim == 3 else transfer[None])).T
+
+
 def textbook(
-    decoding: SceneDecoding, weights: Tensor, measurements: Tensor, noise: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Estimate and posterior covariance by the formula as it is written, in float64."""
-    A = decoding.operator(weights.double()).T
-    statistics = decoding.statistics
-    S = statistics.basis @ statistics.basis.T + torch.diag(statistics.residual)
-    C = A @ S @ A.T + torch.diag(noise)
-    gain = S @ A.T @ torch.linalg.inv(C)
-    centred = measurements.double().flatten(1) - A @ statistics.mean
-    return statistics.mean + centred @ gain.T, S - gain @ A @ S
+    decoding: SceneDecoding, weights: Tensor, measurements: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Estimate, its covariance and the noise, by the formulas as they are written, in float64."""
+    A, statistics = response_of(decoding, weights), decoding.statistics
+    S, lost = statistics.basis @ statistics.basis.T, A.square() @ statistics.residual
+    mean, spread = A @ statistics.mean, (A @ S @ A.T).diagonal() + lost
+    N = decoding.noise.variance(mean, spread) + lost
+    gain = S @ A.T @ torch.linalg.inv(A @ S @ A.T + torch.diag(N))
+    estimate = statistics.mean + (measurements.double().flatten(1) - mean) @ gain.T
+    return estimate, S - gain @ A @ S + torch.diag(statistics.residual), N
 
 
 @pytest.mark.parametrize("shape", [(3, 4), (6, 8), (12, 16)])
-def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
-    """Both forms: 12 and 48 numbers factor E x E, 192 factor rank x rank."""
-    decoding = make(Embedding(*shape))
-    weights, scenes = mask().double(), smooth_scenes(SCENE, 20, 1).double()
-    generator = seeded(2)
-    measurements = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
+@pytest.mark.parametrize("colour", [False, True])
+def test_is_the_textbook_estimate(shape: tuple[int, int], *, colour: bool) -> None:
+    """Both forms: few numbers factor E x E, many rank x rank."""
+    decoding = make(Embedding(*shape), statistics=COLOURED if colour else STATISTICS)
+    scenes = coloured(20, 1) if colour else smooth_scenes(SCENE, 20, 1)
+    weights, generator = mask().double(), seeded(2)
+    clean = scenes.double().flatten(1) @ response_of(decoding, weights).T
+    measurements = shot_noise(clean, 40.0, generator)
     decoder = decoding.prepare(weights)
-    wanted, covariance = textbook(decoding, weights, measurements, decoder.noise)
-    estimate = decoder(measurements)
-    assert estimate.shape == (20, *SCENE.shape)
+    wanted, covariance, _ = textbook(decoding, weights, measurements)
+    planes = (3,) if colour else ()
+    estimate = decoder(measurements.reshape(20, *planes, *shape))
+    assert (decoder.channels, estimate.shape) == (3 if colour else 1, scenes.shape)
     assert float((estimate.flatten(1) - wanted).abs().max()) < 1e-7
-    deviation = covariance.diagonal().clamp_min(0).sqrt().reshape(SCENE.shape)
-    assert float((decoder.deviation - deviation).abs().max()) < 1e-5
-    assert decoder.remaining == pytest.approx(
-        float(covariance.trace() / decoding.statistics.variance.sum()), abs=1e-6
-    )
+    share = unknown_share(decoding.operator(weights), decoding.statistics)
+    left = covariance.trace() / decoding.statistics.variance.sum()
+    assert float(share) == pytest.approx(float(left), abs=1e-7)
+
+
+def test_colour_tells_of_another_colour() -> None:
+    """R and B through G alone: what makes one decoder of three colours more than three of one."""
+    decoding = make(Embedding(12, 16), statistics=COLOURED)
+    transfer = decoding.operator(mask().double())
+    transfer[[0, 2]] = 0
+    scenes = coloured(50, 1).double()
+    seen = torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
+    errors = (decoding.prepare_transfer(transfer)(seen) - scenes).square().mean((0, 2, 3))
+    unread = scenes.var(0).mean((1, 2))
+    assert bool((errors < 0.7 * unread).all())
+    assert float(errors[1]) < float(errors[[0, 2]].min())
 
 
 @pytest.mark.parametrize("rank", [8, PIXELS])
@@ -114,32 +145,28 @@ def test_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: int) 
         decoder.innovation(torch.zeros(2, 47))
 
 
-@pytest.mark.parametrize("rank", [8, 12, 30])
-def test_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) -> None:
-    """Fewer, as many and more components than the 12 numbers of a measurement."""
+@pytest.mark.parametrize("known", [STATISTICS, COLOURED], ids=["gray", "colour"])
+@pytest.mark.parametrize("rank", [8, 12, 60])
+def test_low_rank_is_the_textbook_with_what_is_left_out_as_noise(
+    rank: int, known: SceneStatistics
+) -> None:
+    """Fewer, as many and more components than the 12 numbers of a measurement, or its 36."""
     noise = MeasurementNoise(30.0, model_error=0.02)
-    decoding = make(Embedding(3, 4), statistics=STATISTICS.truncate(rank), noise=noise)
-    statistics, weights = decoding.statistics, mask().double()
-    A = decoding.operator(weights).T
-    mean, lost = A @ statistics.mean, A.square() @ statistics.residual
-    spread = (A @ statistics.basis).square().sum(1) + lost
-    N = noise.variance(mean, spread) + lost
-    S = statistics.basis @ statistics.basis.T
-    gain = S @ A.T @ torch.linalg.inv(A @ S @ A.T + torch.diag(N))
-    measurements = torch.rand(4, 3, 4, generator=seeded(3), dtype=DOUBLE)
+    decoding = make(Embedding(3, 4), statistics=known.truncate(rank), noise=noise)
+    weights, transfer = mask().double(), decoding.operator(mask().double())
+    measurements = torch.rand(4, *transfer.shape[:-2], 3, 4, generator=seeded(3), dtype=DOUBLE)
     decoder = decoding.prepare(weights)
-    assert float(lost.min()) > 0
+    wanted, covariance, N = textbook(decoding, weights, measurements)
     assert torch.allclose(decoder.noise, N, rtol=1e-9)
-    wanted = statistics.mean + (measurements.flatten(1) - mean) @ gain.T
     # The matrices' condition is below 1e6, so ten digits of sixteen are left.
     assert torch.allclose(decoder(measurements).flatten(1), wanted, atol=1e-7)
     assert torch.equal(decoder(measurements.flatten(1)), decoder(measurements))
-    variance = (S - gain @ A @ S).diagonal() + statistics.residual
-    assert torch.allclose(decoder.deviation.flatten().square(), variance, atol=1e-9)
-    share = float(variance.sum() / statistics.variance.sum())
-    assert decoder.remaining == pytest.approx(share, abs=1e-6)
-    by_hand = decoding.prepare_transfer(decoding.operator(weights))
-    assert torch.equal(by_hand(measurements), decoder(measurements))
+    left = float(covariance.trace() / decoding.statistics.variance.sum())
+    share = unknown_share(transfer, decoding.statistics, noise)
+    assert float(share) == pytest.approx(left, abs=1e-8)
+    in_numpy = unknown_share(transfer.numpy(), decoding.statistics.in_numpy(), noise)
+    assert float(in_numpy) == pytest.approx(left, abs=1e-8)
+    assert torch.equal(decoding.prepare_transfer(transfer)(measurements), decoder(measurements))
 
 
 @pytest.mark.parametrize(("rank", "size"), [(8, 8), (30, 12)])
@@ -169,16 +196,16 @@ def test_scenes_in_another_unit_are_decoded_in_that_unit(scale: float) -> None:
     found, wanted = other(scale * measurements), scale * one(measurements)
     # Statistics are float32: scaling rounds them by 6e-8, which 40 dB can amplify a hundredfold.
     assert float((found - wanted).norm() / wanted.norm()) < 1e-5
-    assert other.remaining == pytest.approx(one.remaining, rel=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (6, 8)])
 def test_scene_that_never_changes_is_known(shape: tuple[int, int]) -> None:
     still = SceneStatistics(STATISTICS.mean, torch.zeros(PIXELS, 2), torch.zeros(PIXELS))
-    decoder = make(Embedding(*shape), statistics=still).prepare(mask().double())
+    decoding = make(Embedding(*shape), statistics=still)
+    decoder = decoding.prepare(mask().double())
     estimate = decoder(torch.rand(2, *shape))
     assert torch.equal(estimate[1].flatten(), STATISTICS.mean.double())
-    assert decoder.remaining == 0
+    assert float(unknown_share(decoding.operator(mask().double()), decoding.statistics)) == 0
 
 
 def test_jitter_grows_tenfold_until_the_matrix_can_be_factored(
@@ -259,7 +286,9 @@ def test_model_error_makes_a_displaced_panel_bearable() -> None:
     trusting = make(embedding).prepare(weights)
     wary = make(embedding, noise=MeasurementNoise(model_error=0.03)).prepare(weights)
     assert bool((wary.noise > trusting.noise).all())
-    assert wary.remaining > trusting.remaining
+    transfer, known = make(embedding).operator(weights), STATISTICS.to("float64")
+    shares = [unknown_share(transfer, known, MeasurementNoise(model_error=e)) for e in (0, 0.03)]
+    assert shares[0] < shares[1]
     error = [float((d(measurements) - scenes).square().mean()) for d in (trusting, wary)]
     assert error[1] < error[0]
 
@@ -278,17 +307,22 @@ def test_closed_mask_gives_the_mean_scene() -> None:
     decoder = decoding.prepare(torch.zeros(CAMERA.mask_shape, dtype=DOUBLE))
     estimate = decoder(torch.zeros(2, 6, 8))
     assert torch.allclose(estimate[0].flatten(), decoding.statistics.mean)
-    assert decoder.remaining == pytest.approx(1.0)
+    dark = torch.zeros(PIXELS, 48, dtype=DOUBLE)
+    assert float(unknown_share(dark, decoding.statistics)) == pytest.approx(1.0)
 
 
-def test_gradients_reach_the_mask() -> None:
-    decoding = make(Embedding(3, 4))
+@pytest.mark.parametrize("known", [STATISTICS.truncate(8), COLOURED], ids=["gray", "colour"])
+@pytest.mark.parametrize("what", ["estimate", "share"])
+def test_gradients_reach_the_mask(what: str, known: SceneStatistics) -> None:
+    """Both forms of the formula."""
+    decoding = make(Embedding(3, 4), statistics=known)
     weights = mask().double().requires_grad_()
-    measurements = torch.rand(3, 12, dtype=DOUBLE)
+    measurements = torch.rand(3, 12 * known.pixels // PIXELS, generator=seeded(2), dtype=DOUBLE)
 
     def loss(values: Tensor) -> Tensor:
-        decoder = decoding.prepare(values)
-        return decoder(measurements).square().sum() + decoder.deviation.sum()
+        if what == "estimate":
+            return decoding.prepare(values)(measurements).square().sum()
+        return unknown_share(decoding.operator(values), decoding.statistics)
 
     (gradient,) = torch.autograd.grad(loss(weights), weights)
     assert bool(gradient.isfinite().all())

@@ -59,7 +59,7 @@ def pieces(mask: Mask) -> list[np.ndarray]:
     decoder, whitening = reader.decoder, reader.whitening
     arrays = [
         *(decoder.mean_measurement, decoder.estimator, decoder.noise),
-        *(decoder.response, decoder.deviation),
+        decoder.response,
     ]
     if whitening is not None:
         arrays += [each for each in vars(whitening).values() if isinstance(each, np.ndarray)]
