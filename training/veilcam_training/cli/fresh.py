@@ -23,7 +23,6 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
-    for_bundle,
     given,
     prepare,
     show_summary,
@@ -31,8 +30,8 @@ from veilcam_training.cli.options import (
     watch,
 )
 from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import load_fresh_settings, names_classifier
-from veilcam_training.data import Source, open_source, recognise
+from veilcam_training.config.settings import load_fresh_settings
+from veilcam_training.data import open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
@@ -66,9 +65,7 @@ def fit_fresh_command(
     check_places(out, work, tensorboard, csv)
     overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
     settings = load_fresh_settings(config, overrides, found=recognise(data))
-    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
-    named = names_classifier(config, {})
-    source = ReadOnce(for_bundle(console, source, settings.classifier, named=named))
+    source = ReadOnce(open_source(settings.data, data, skip_damaged=skip_damaged))
     camera = Camera()
     check_fresh(settings, source, camera)
     show_summary(console, source)

@@ -30,7 +30,6 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
-    for_bundle,
     given,
     prepare,
     show_summary,
@@ -38,8 +37,8 @@ from veilcam_training.cli.options import (
     watch,
 )
 from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import Settings, load_settings, names_classifier
-from veilcam_training.data import SOURCES, Source, open_source, recognise
+from veilcam_training.config.settings import Settings, load_settings
+from veilcam_training.data import SOURCES, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
@@ -161,12 +160,8 @@ def fit_command(
     check_places(out, work, tensorboard, csv)
     if out is None and work is None:
         console.print("note: without --out or --work nothing of this fit will be kept")
-    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
+    source = ReadOnce(open_source(settings.data, data, skip_damaged=skip_damaged))
     camera = Camera()
-    if out is not None:
-        named = names_classifier(config, given(classifier=classifier))
-        source = for_bundle(console, source, settings.classifier, named=named)
-    source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
     settings = settle_seed(settings, work)
@@ -229,9 +224,7 @@ def keyring_command(
     place = prepare(device, threads)
     check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
-    source: Source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
-    named = names_classifier(config, given(classifier=classifier))
-    source = for_bundle(console, source, settings.classifier, named=named)
+    source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
     show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Table
 
 from veilcam_training.data import Source
-from veilcam_training.data.base import InGray
 from veilcam_training.data.summary import summarise
 from veilcam_training.errors import require
 from veilcam_training.files import check_file, check_folder
@@ -103,32 +102,6 @@ def has_bfloat16(device: torch.device) -> bool:
     return device.type != "cpu" or any(
         present for name, present in capabilities.items() if "bf16" in name
     )
-
-
-def for_bundle(console: Console, source: Source, classifier: str, *, named: bool) -> Source:
-    """Return a data set as a daemon takes it: in gray.
-
-    Args:
-        console: console that tells of colour left out.
-        source: the data set.
-        classifier: classifier to fit.
-        named: True where somebody chose it; it would be another one in gray.
-
-    Raises:
-        TrainingError: a classifier was chosen for pictures in colour.
-    """
-    if not source.colour:
-        return source
-    require(
-        not named,
-        f"classifier {classifier} would be fitted in colour, which no daemon takes: write "
-        "'colour = false' into dataset.toml, or name no classifier to fit the default one in gray",
-    )
-    console.print(
-        "note: these pictures have colour, which no daemon takes: they are fitted in gray",
-        soft_wrap=True,
-    )
-    return InGray(source)
 
 
 def show_summary(console: Console, source: Source) -> None:

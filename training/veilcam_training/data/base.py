@@ -218,44 +218,6 @@ def _drawn(members: Tensor, share: float, what: str, generator: torch.Generator)
     return members[torch.randperm(len(members), generator=generator)[:count]]
 
 
-@dataclass(frozen=True)
-class InGray(FileSource):
-    """Data set in colour, taken as gray (Rec. 601 luma)."""
-
-    source: Source
-    colour: bool = False
-
-    @property
-    def name(self) -> str:
-        """Name on the command line."""
-        return self.source.name
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Name of every class."""
-        return self.source.labels
-
-    @property
-    def scene(self) -> Scene:
-        """Size and distance at which its images are shown."""
-        return self.source.scene
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Those of the data set in colour."""
-        return remarks_of(self.source)
-
-    def digests(self) -> Mapping[str, str]:
-        """SHA-256 of every file, and that they are taken as gray."""
-        return {**self.source.digests(), "colour": "taken as gray"}
-
-    def _read(self, *, test: bool) -> Images:
-        images = self.source.test() if test else self.source.training()
-        red, green, blue = images.pixels.int().unbind(1)
-        luma = (299 * red + 587 * green + 114 * blue + 500) // 1000
-        return replace(images, pixels=luma.to(images.pixels.dtype))
-
-
 class ReadOnce:
     """``source``, read from disk once for the many cells that use it."""
 

@@ -111,10 +111,6 @@ def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None
 
 
 def _write_and_read(bundle: Bundle) -> None:
-    require(
-        bundle.channels == 1,
-        "no daemon takes a bundle in colour: use pictures in gray, or leave out --out",
-    )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "empty.veilcam"
         try:
@@ -272,6 +268,7 @@ def _of_fresh(
         camera=camera,
         scene=frame.scene,
         embedding=frame.embedding,
+        channels=3 if encoder.setup.colour else 1,
         mode="fresh",
         fresh=Fresh(
             distribution=encoder.distribution,
