@@ -87,8 +87,7 @@ def geometry_of(bundle: Bundle) -> Geometry:
     """Return the geometry of a bundle's camera; raises :class:`CalibrationError` in colour."""
     if bundle.channels != 1:
         raise CalibrationError(
-            "a camera in colour has no calibration: serve a gray bundle, or use a --state-dir "
-            "without a calibration"
+            "a camera in colour has no calibration: serve a gray bundle, or remove the record"
         )
     return Geometry(bundle.camera, bundle.scene, bundle.embedding)
 

@@ -147,7 +147,8 @@ class Scenes:
             with self._lock:
                 self._show(self._place, self._deck[self._place])
                 return self._place
-        scene = StillScene(as_scene(np.asarray(picture), self.shape), self.shape)
+        scene = StillScene(np.asarray(picture).copy(), self.shape)
+        scene.read()
         with self._lock:
             number, self._free = self._free, self._free + 1
             self._show(number, scene)
