@@ -98,11 +98,17 @@ def converted(held: Float32, dtype: npt.DTypeLike | None, copy: bool | None) -> 
     return np.array(held, dtype)
 
 
+def flat(values: Float32) -> npt.NDArray[np.float64]:
+    """Return (rows, columns) of numbers in one row, (rows, columns), or channels side by side."""
+    planes = values.reshape(-1, *np.atleast_2d(values).shape[-2:])
+    return np.concatenate(planes.astype(float), axis=1)
+
+
 def picture(values: Float32) -> bytes:
-    """PNG of an array: its first axis down, all others across, from black to white."""
-    flat = (values.reshape(len(values), -1) if values.ndim > 1 else values[None]).astype(float)
-    low, high = flat.min(), flat.max()
-    grey = np.rint((flat - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
+    """PNG of an array of :func:`flat`, from black to white."""
+    across = flat(values)
+    low, high = across.min(), across.max()
+    grey = np.rint((across - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
     scale = max(1, _PICTURE // max(grey.shape))
     return _png(grey.repeat(scale, 0).repeat(scale, 1))
 

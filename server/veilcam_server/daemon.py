@@ -103,8 +103,10 @@ def build_service(settings: Settings) -> Service:
             camera = MaskedCamera(
                 device,
                 preparation,
-                bundle.embedding.shape,
-                OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
+                bundle.measurement_shape,
+                OpticalSelfTest(
+                    *(bundle.camera, bundle.scene, bundle.embedding), colour=bundle.channels == 3
+                ),
                 budget=budget,
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
                 policy=policies.at_start(

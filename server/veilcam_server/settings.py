@@ -199,7 +199,7 @@ class Settings(Wiring):
     one."""
     release: Release | None = None
     """How embeddings leave: none, sealed, white or raw. Default: sealed as soon as a receiver is
-    paired; before that white for fresh masks, and none for pairs."""
+    paired; before that white for gray fresh masks, and else none."""
     raw_budget: int = Field(default=0, ge=0, le=1_000_000_000)
     """Embeddings that may leave raw behind one mask, over its whole life; --release raw needs 1 or
     more."""

@@ -145,7 +145,7 @@ def epoch_in_words(rotation: Rotation) -> str:
 
 def status_in_words(status: Status) -> str:
     """Return the camera and its state in words."""
-    rows, columns = status.bundle.embedding_shape[-2:]
+    shape = " x ".join(str(count) for count in status.bundle.embedding_shape)
     masks = masks_in_words(status.bundle)
     lines = [f"state     {status.state}{f' ({status.detail})' if status.detail else ''}"]
     if status.remedy:
@@ -156,7 +156,7 @@ def status_in_words(status: Status) -> str:
         f"device    {status.device.display}, {status.device.sensor}",
         f"key       {status.device.key}",
         *([] if status.clock is None else [_clock_in_words(status.clock)]),
-        f"task      {status.bundle.task}, {rows} x {columns}, {masks}",
+        f"task      {status.bundle.task}, {shape}, {masks}",
         rotation_in_words(status.rotation),
         f"next      {next_in_words(status.rotation.preparation)}",
         f"release   {release_in_words(status)}",

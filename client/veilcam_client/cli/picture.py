@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.numbers import flat
+
 DARKEST, GREYS = 232, 24
 """The first grey of the 256 colours of a terminal (xterm), and how many there are."""
 
 
 def in_blocks(values: npt.NDArray[np.float32]) -> str:
-    """Draw an array: its first axis down, all others across; the smallest value is the darkest.
+    """Draw an array; the smallest value is the darkest.
 
     Args:
-        values: (rows, columns) or (rows, columns, channels).
+        values: (rows, columns), or (channels, rows, columns), which are drawn side by side.
     """
-    flat = values.reshape(len(values), -1).astype(float)
-    low, high = flat.min(), flat.max()
-    greys = DARKEST + np.rint((flat - low) * ((GREYS - 1) / ((high - low) or 1.0))).astype(int)
+    across = flat(values)
+    low, high = across.min(), across.max()
+    greys = DARKEST + np.rint((across - low) * ((GREYS - 1) / ((high - low) or 1.0))).astype(int)
     if len(greys) % 2:
         greys = np.concatenate([greys, np.full_like(greys[:1], DARKEST)])
     return "\n".join(

@@ -49,7 +49,7 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
         task=bundle.task,
         mode=bundle.mode,
         labels=bundle.labels,
-        embedding_shape=bundle.embedding.shape,
+        embedding_shape=bundle.measurement_shape,
         pairs=len(bundle.pairs),
         version=bundle.version,
         signed_by=None if bundle.owner is None else bundle.owner.short,
@@ -108,9 +108,9 @@ def release_terms(
     Raises:
         StartError: a form that the bundle does not have, or raw without a budget.
     """
-    if bundle.mode == "pairs" and settings.release == "white":
+    if settings.release == "white" and not _has_white(bundle):
         raise StartError(
-            "--release white needs the scene statistics of a bundle of mode 'fresh': use none, "
+            "--release white needs a gray bundle of mode 'fresh', with scene statistics: use none, "
             "sealed or raw"
         )
     if settings.release == "raw" and settings.raw_budget < 1:
@@ -135,7 +135,11 @@ def _form(settings: Settings, bundle: Bundle, *, paired: bool) -> Release:
         return settings.release
     if paired:
         return "sealed"
-    return "white" if bundle.mode == "fresh" else "none"
+    return "white" if _has_white(bundle) else "none"
+
+
+def _has_white(bundle: Bundle) -> bool:
+    return bundle.mode == "fresh" and bundle.channels == 1
 
 
 def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:

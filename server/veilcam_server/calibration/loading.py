@@ -66,7 +66,7 @@ def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) 
     Raises:
         CalibrationError: which of its properties differs, and what to do.
     """
-    geometry = Geometry(bundle.camera, bundle.scene, bundle.embedding).digest
+    geometry = geometry_of(bundle).digest
     kind = "simulated" if record.simulated else "real"
     for what, measured, present in (
         ("panel", record.display, settings.panel),
@@ -81,6 +81,15 @@ def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) 
                 f"the calibration is of another {what}, {measured}, not {present}: run "
                 "'veilcamd calibrate' for this camera, or give another --calibration"
             )
+
+
+def geometry_of(bundle: Bundle) -> Geometry:
+    """Return the geometry of a bundle's camera; raises :class:`CalibrationError` in colour."""
+    if bundle.channels != 1:
+        raise CalibrationError(
+            "a camera in colour has no calibration: serve a gray bundle, or remove the record"
+        )
+    return Geometry(bundle.camera, bundle.scene, bundle.embedding)
 
 
 def panel_tab(settings: Settings) -> str | None:

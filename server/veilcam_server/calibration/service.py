@@ -27,6 +27,7 @@ from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.loading import (
     check_record,
+    geometry_of,
     panel_tab,
     record_path,
     settle_time,
@@ -297,5 +298,4 @@ class CalibrationService:
 
     @property
     def _geometry(self) -> Geometry:
-        bundle = self._bundle
-        return Geometry(bundle.camera, bundle.scene, bundle.embedding)
+        return geometry_of(self._bundle)

@@ -58,6 +58,7 @@ class OpticalSelfTest:
         camera: window, panel and sensor.
         scene: scene, of which the distance alone counts.
         embedding: embedding of the sensor.
+        colour: True where it has three channels, which are judged by their mean.
         generator: generator of patterns; by default one that nobody can foresee.
         clock: monotonic time [s].
     """
@@ -68,10 +69,12 @@ class OpticalSelfTest:
         scene: Scene,
         embedding: Embedding,
         *,
+        colour: bool = False,
         generator: np.random.Generator | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._camera, self._shape, self._clock = camera, embedding.shape, clock
+        self._camera, self._embedding, self._clock = camera, embedding, clock
+        self._shape = (3, *embedding.shape) if colour else embedding.shape
         self._generator = generator or np.random.default_rng(secrets.randbits(128))
         self._moved = _boxes_between_corners(camera, scene, embedding)
 
@@ -86,7 +89,9 @@ class OpticalSelfTest:
         def seen(opened: npt.NDArray[np.bool_]) -> _Measurement:
             exposure = self._seen(device, fence, opened)
             lights.append(exposure.light.mean)
-            return exposure.embedding.astype(np.float64)
+            channels = exposure.embedding.reshape(-1, *self._embedding.shape)
+            mean: _Measurement = channels.mean(axis=0, dtype=np.float64)
+            return mean
 
         nothing, everything = np.zeros_like(corner), np.ones_like(corner)
         dark, light = seen(nothing), seen(everything)
@@ -132,7 +137,7 @@ class OpticalSelfTest:
     def _judge_place(self, first: _Measurement, last: _Measurement) -> None:
         """Compare the shadows of two corners, moved as they lie apart, and in other directions."""
         down, right = self._moved
-        rows, columns = self._shape
+        rows, columns = self._embedding.shape
         if min(down, right) < _APART or (rows - down) * (columns - right) < _OVERLAP:
             return
         told = _likeness(first, last, down, right)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # whoever only names devices need not wait for torch
 
 Levels = npt.NDArray[np.uint8]
 Measurement = npt.NDArray[np.float32]
+"""(rows, columns) of a gray camera, (3, rows, columns) R, G, B of one in colour."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ class EmulateSensor(Protocol):
         light: RawLight,
         mode: SensorMode,
         *,
-        shape: tuple[int, int],
+        shape: tuple[int, ...],
         exposure: float,
         full_scale: float,
         clock: Callable[[], float],
@@ -80,7 +80,7 @@ class EmulateSensor(Protocol):
         Args:
             light: gives raw frames.
             mode: mode of these frames.
-            shape: shape of an embedding.
+            shape: shape of a measurement.
             exposure: exposure of every frame [s].
             full_scale: measurement of saturated pixels.
             clock: monotonic time [s].
@@ -120,8 +120,8 @@ class SensorDriver:
     """Part of what libcamera calls it."""
     product: str
     """What to buy."""
-    open: Callable[[Settings, tuple[int, int]], Sensor]
-    """Starts it, for embeddings of a shape; raises :class:`DeviceError`."""
+    open: Callable[[Settings, tuple[int, ...]], Sensor]
+    """Starts it, for measurements of a shape; raises :class:`DeviceError`."""
     emulate: EmulateSensor | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

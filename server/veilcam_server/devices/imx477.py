@@ -86,7 +86,7 @@ class IMX477:
 
     Args:
         open_camera: opens the camera.
-        shape: shape of the embedding.
+        shape: shape of a measurement, (rows, columns) or (3, rows, columns).
         mode: pinned; another one is refused.
         exposures: fixed or bounded; the gain is always 1.
         full_scale: measurement of saturated pixels at the exposure to begin with.
@@ -103,7 +103,7 @@ class IMX477:
         self,
         open_camera: Callable[[], Picamera],
         *,
-        shape: tuple[int, int],
+        shape: tuple[int, ...],
         mode: SensorMode = HALF,
         exposures: ExposureRange = ExposureRange(),
         full_scale: float = 1.0,
@@ -201,7 +201,7 @@ class IMX477:
 
     def _binned(self, raw: Raw) -> _Binned:
         black, white = self._format.black, self._format.white
-        embedding = (self._binning.means(raw) - black) / (white - black)
+        embedding = (self._binning.means(raw, self._format.order) - black) / (white - black)
         return _Binned(embedding, float((raw >= white).mean()) > _SATURATED)
 
     def _exposure(self, frame: Frame, binned: _Binned) -> Exposure:
@@ -307,7 +307,7 @@ def _not_set_up(error: Exception) -> SensorError:
     )
 
 
-def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:
+def _open(settings: Settings, shape: tuple[int, ...]) -> IMX477:
     return IMX477(
         partial(open_picamera2, settings.camera_number),
         shape=shape,
@@ -319,7 +319,7 @@ def _emulate(
     light: RawLight,
     mode: SensorMode,
     *,
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     exposure: float,
     full_scale: float,
     clock: Callable[[], float],

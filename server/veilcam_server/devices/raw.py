@@ -53,6 +53,8 @@ class RawFormat:
     stride: int
     black: int
     white: int
+    order: str
+    """Colours of the first two pixels of the first two rows, as ``RGGB``."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any] | None, mode: SensorMode) -> RawFormat:
@@ -66,14 +68,16 @@ class RawFormat:
         name, size = str(given["format"]), tuple(given["size"])
         # 12 bits in the low end of 16 (Raspberry Pi 4), or in the high end (5).
         shifts = {str(mode.bit_depth): 0, "16": 16 - mode.bit_depth}
-        bits = name[5:]
-        if not name.startswith("S") or bits not in shifts or size != mode.size:
+        order, bits = name[1:5], name[5:]
+        bayer = name.startswith("S") and sorted(order) == sorted("RGGB")
+        if not bayer or bits not in shifts or size != mode.size:
             raise SensorError(
                 f"the camera gives raw frames as {name}, {size[0]} x {size[1]}, which cannot be "
                 "read: use one that gives them whole and uncompressed"
             )
         shift = shifts[bits]
-        return cls(int(given["stride"]), mode.black_level << shift, mode.white_level << shift)
+        black, white = mode.black_level << shift, mode.white_level << shift
+        return cls(int(given["stride"]), black, white, order)
 
     def pixels(self, request: Request, mode: SensorMode) -> Raw:
         """Return a copy of a frame, without what pads its lines.
@@ -138,25 +142,41 @@ class Binning:
 
     Args:
         raw: shape (rows, columns) of the frames.
-        boxes: number of boxes, (rows, columns).
+        shape: boxes (rows, columns), or (3, rows, columns) to keep the colours apart.
 
     Raises:
-        ValueError: more boxes than pixels.
+        ValueError: more boxes than pixels, or than pixels of each colour.
     """
 
-    def __init__(self, raw: tuple[int, int], boxes: tuple[int, int]) -> None:
-        self._raw = raw
-        self._row_cuts, self._row_shares = _axis(raw[0], boxes[0])
-        self._column_cuts, self._column_shares = _axis(raw[1], boxes[1])
+    def __init__(self, raw: tuple[int, int], shape: tuple[int, ...]) -> None:
+        self._step = 1 if len(shape) == 2 else 2
+        rows, columns = (size // self._step for size in raw)
+        self._plane = rows, columns
+        self._row_cuts, self._row_shares = _axis(rows, shape[-2])
+        self._column_cuts, self._column_shares = _axis(columns, shape[-1])
 
-    def means(self, raw: Raw) -> npt.NDArray[np.float64]:
-        """Return the mean of every box.
+    def means(self, raw: Raw, order: str = "RGGB") -> npt.NDArray[np.float64]:
+        """Return the mean of every box, in colour those of its red, green and blue pixels.
+
+        A pixel stands for the two by two that it is one of.
+
+        Args:
+            raw: frame.
+            order: colours of the first two pixels of the first two rows.
 
         Raises:
             ValueError: a frame of another shape.
         """
-        if raw.shape != self._raw:
-            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._raw}")
+        if self._step == 1:
+            return self._means(raw)
+        places = ((0, 0), (0, 1), (1, 0), (1, 1))
+        planes = [self._means(raw[row::2, column::2]) for row, column in places]
+        found = [[mean for mean, of in zip(planes, order, strict=True) if of == c] for c in "RGB"]
+        return np.stack([np.mean(each, axis=0) for each in found])
+
+    def _means(self, raw: Raw) -> npt.NDArray[np.float64]:
+        if raw.shape != self._plane:
+            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._plane}")
         # 32 bits hold the sum of 65,537 pixels of 16 bits: more rows than any sensor has.
         strips = np.stack(
             [raw[first:last].sum(0, dtype=np.uint32) for first, last in pairwise(self._row_cuts)]

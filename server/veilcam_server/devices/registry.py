@@ -71,7 +71,9 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
     _check_clock(settings, display.fastest)
     return Device(
         ReopeningDisplay(display.name, partial(display.open, settings, bundle.camera)),
-        ReopeningSensor(sensor.name, SHARE, partial(sensor.open, settings, bundle.embedding.shape)),
+        ReopeningSensor(
+            sensor.name, SHARE, partial(sensor.open, settings, bundle.measurement_shape)
+        ),
         simulated=False,
     )
 
@@ -119,9 +121,10 @@ def _simulated(
     use_torch_sparingly()
     given = settings.imperfections
     imperfections = NOMINAL if given is None else read_imperfections(given, bundle.camera)
+    colour = bundle.channels == 3
     return simulated_device(
-        planned_light(bundle.camera, bundle.scene, bundle.embedding, imperfections),
-        *open_scenes(settings, bundle.scene.shape),
+        planned_light(bundle.camera, bundle.scene, bundle.embedding, imperfections, colour=colour),
+        *open_scenes(settings, (3, *bundle.scene.shape) if colour else bundle.scene.shape),
         camera=bundle.camera,
         embedding=bundle.embedding,
         # The panel scans and turns in less than the time that the fence grants it.

@@ -49,7 +49,7 @@ class FreshReader:
         return told
 
     def evidence_of(self, measurements: Values) -> list[Evidence]:
-        """Return what each of several embeddings tells, (batch, rows, columns).
+        """Return what each of several embeddings tells, (batch, *shape of one).
 
         Raises:
             InferenceError: the network gives NaN or infinity for one.

@@ -89,17 +89,11 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
     Raises:
         StartError: the bundle cannot be served.
     """
-    if bundle.channels != 1:
-        raise StartError(
-            f"the bundle needs {bundle.channels} colour channels: serve one with gray embeddings"
-        )
     if wrong_classifier and len(bundle.pairs) < 2:
         raise StartError("the wrong classifier needs a bundle with two or more pairs")
     readers = [
         PairReader(
-            Classifier.load(
-                pair.layers, pair.weights, labels=bundle.labels, inputs=bundle.embedding.size
-            ),
+            Classifier.load(pair.layers, pair.weights, labels=bundle.labels, inputs=bundle.inputs),
             transmittance(pair.levels, bundle.camera.panel.levels),
         )
         for pair in bundle.pairs

@@ -501,10 +501,11 @@ class Service:
 
 
 def _picture(content: bytes, scenes: Scenes) -> tuple[npt.NDArray[np.float32], str | None]:
-    """Return a picture as a scene, and what to say of it."""
+    """Return a picture of the scene's size, and what to say of it."""
     try:
         picture = decoded(content)
         scene, warning = as_scene(picture, scenes.shape), range_warning(picture)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
-    return scene, None if warning is None else f"this {warning}"
+    fitted = scene if scene.ndim == 2 else np.moveaxis(scene, 0, 2)
+    return fitted, None if warning is None else f"this {warning}"

@@ -6,10 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from tests.fits.conftest import Call
 
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_server.testing import FakeCamera
 from veilcam_training.bundle import read_bundle
+from veilcam_training.models.network import build_classifier
 
 QUICK = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
 
@@ -52,32 +57,49 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
-def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
+def draw(folder: Path, *names: str) -> Path:
     for name in names:
         (folder / name).mkdir(parents=True)
         for number in range(20):
-            pixels = np.random.default_rng(number).integers(0, 256, shape, dtype=np.uint8)
+            pixels = np.random.default_rng(number).integers(0, 256, (12, 16), dtype=np.uint8)
             Image.fromarray(pixels).save(folder / name / f"{number}.png")
     return folder
 
 
-@pytest.mark.thorough
-def test_colour_is_left_out_unless_a_classifier_is_named(call: Call, tmp_path: Path) -> None:
-    data, out = draw(tmp_path / "data", "cat", "dog", shape=(12, 16, 3)), tmp_path / "a.veilcam"
-    assert "classifier LR would be fitted in colour" in call(
-        "fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out, code=1
-    )
-    config = tmp_path / "a.toml"
-    config.write_text('classifier = "LR"')
-    assert "classifier LR would be fitted in colour" in call(
-        "fit", "--data", data, *QUICK, "--config", config, "--out", out, code=1
-    )
-    assert "they are fitted in gray" in call("fit", "--data", data, *QUICK, "--out", out)
-    assert read_bundle(out).channels == 1
-    assert "they are fitted in gray" in call(
-        "keyring", "--data", data, *QUICK, "--pairs", 2, "--out", out
-    )
-    assert read_bundle(out).channels == 1
+COLOURS = {"red": (200, 60, 60), "green": (60, 200, 60), "blue": (60, 60, 200)}
+
+
+@pytest.mark.slow
+def test_folder_in_colour_is_fitted_and_served(call: Call, tmp_path: Path) -> None:
+    data, out = tmp_path / "data", tmp_path / "own.veilcam"
+    draws = np.random.default_rng(4)
+    for name, colour in COLOURS.items():
+        (data / name).mkdir(parents=True)
+        for number in range(20):
+            noise = draws.integers(-50, 51, (12, 16, 3))
+            pixels = (np.array(colour) + noise).astype(np.uint8)
+            Image.fromarray(pixels).save(data / name / f"{number:02}.png")
+    call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out)
+    bundle = read_bundle(out)
+    assert bundle.channels == 3
+    pair = bundle.pairs[0]
+    transfer = TransferOperator(bundle.camera, bundle.scene, bundle.embedding, colour=True)
+    files = [path for name in sorted(COLOURS) for path in sorted((data / name).iterdir())]
+    pictures = torch.from_numpy(np.stack([np.asarray(Image.open(path)) for path in files]))
+    weights = torch.from_numpy(to_weights(pair.levels, bundle.camera.panel))
+    expected = transfer.embed(pictures.permute(0, 3, 1, 2) / 255, weights)
+    scores = build_classifier(pair.layers, pair.weights)(expected.flatten(1))
+    labels = [bundle.labels[place] for place in scores.argmax(1)]
+    assert set(labels) == set(COLOURS)
+    folders = tuple(str(data / name) for name in sorted(COLOURS))
+    settings = {"bundle": out, "scenes": folders, "release": "raw", "raw_budget": 100}
+    with FakeCamera(settings) as fake, fake.camera() as camera:
+        assert camera.status().bundle.embedding_shape == (3, 6, 8)
+        answers = [camera.classify(include_embedding=True) for _ in files]
+    told = [answer.label == label for answer, label in zip(answers, labels, strict=True)]
+    assert sum(told) >= len(files) - 3
+    seen = np.stack([np.asarray(answer) for answer in answers])
+    assert np.linalg.norm(seen - expected.numpy()) < 0.02 * np.linalg.norm(expected)
 
 
 @pytest.mark.thorough

@@ -161,6 +161,11 @@ class Bundle:
     """What attacks on it found, if the file holds that, and if it is of these masks."""
 
     @property
+    def measurement_shape(self) -> tuple[int, ...]:
+        """Shape of a measurement: (rows, columns), or (3, rows, columns) in colour."""
+        return self.embedding.shape if self.channels == 1 else (3, *self.embedding.shape)
+
+    @property
     def inputs(self) -> int:
         """Number of inputs of a classifier."""
         return self.channels * self.embedding.size if self.fresh is None else self.fresh.inputs

@@ -20,12 +20,14 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 import torch
+from torch.nn.functional import pixel_shuffle
 
 from veilcam_client.wire.simulation import Faults
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.imperfections import Conditions as Optical
 from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.effects import Model
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.propagation.sampling import area_average
@@ -48,6 +50,8 @@ _FINER = 4
 sensor's."""
 _SWITCHES = 16
 """Switches of the lamp that are remembered, for exposures that began before them."""
+_BAYER = (0.25, 0.5, 0.25)
+"""Shares of red, green and blue pixels (RGGB)."""
 _HEADROOM = 1.1
 """What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
@@ -80,7 +84,35 @@ class Light(Protocol):
         """Return what a mask makes of the light."""
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the light of scenes on raw pixels: (batch, rows, columns) of a raw frame."""
+        """Return the light of scenes on raw pixels: (batch, rows, columns) of a raw frame.
+
+        In colour it is (batch, 3, rows, columns), of two by two raw pixels each.
+        """
+
+
+class ColourLight:
+    """Light in colour: that of three gray cameras, each of one channel alone.
+
+    Args:
+        model: model of the light on two by two raw pixels.
+    """
+
+    def __init__(self, model: Model) -> None:
+        alone = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        sensors = [replace(model.camera.sensor, channel_weights=weights) for weights in alone]
+        cameras = [replace(model.camera, sensor=sensor) for sensor in sensors]
+        self._channels = [LightOperator(replace(model, camera=camera)) for camera in cameras]
+
+    def response(self, weights: torch.Tensor) -> Response:
+        """Return those of the channels, one after the other."""
+        return tuple(part for channel in self._channels for part in channel.response(weights))
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return the light (batch, 3, rows, columns) of scenes (batch, 3, rows, columns)."""
+        count = len(response) // len(self._channels)
+        parts = [response[first : first + count] for first in range(0, len(response), count)]
+        lights = zip(self._channels, scenes.unbind(1), parts, strict=True)
+        return torch.stack([light.collect(scene, part) for light, scene, part in lights], 1)
 
 
 def raw_shape(embedding: Embedding) -> tuple[int, int]:
@@ -93,6 +125,8 @@ def planned_light(
     scene: Scene,
     embedding: Embedding,
     imperfections: Imperfections = NOMINAL,
+    *,
+    colour: bool = False,
 ) -> Light:
     """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
 
@@ -101,11 +135,14 @@ def planned_light(
         scene: scene in front of it.
         embedding: embedding that is read.
         imperfections: imperfections that a decoder need not know of.
+        colour: True keeps the channels apart.
     """
+    rows, columns = raw_shape(embedding)
+    pixels = Embedding(rows // 2, columns // 2) if colour else Embedding(rows, columns)
     conditions = Optical(imperfections=imperfections)
     for tolerance in (TOLERANCE, DECODERS_TOLERANCE):
         chosen = plan(camera, scene, embedding, tolerance, conditions, batch=1)
-        model = replace(chosen.model, embedding=Embedding(*raw_shape(embedding)))
+        model = replace(chosen.model, embedding=pixels)
         if model.sampling.method == "transfer":
             # The same light, without a matrix of all raw pixels for every mask.
             model = replace(model, sampling=replace(model.sampling, method="factors"))
@@ -113,7 +150,7 @@ def planned_light(
         if spent.build_ms <= _LONGEST_BUILD and spent.step_ms <= _LONGEST_CAPTURE:
             break
     log.info("simulated light", method=model.sampling.method, predicted_error=chosen.error)
-    return LightOperator(model)
+    return ColourLight(model) if colour else LightOperator(model)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +235,9 @@ class SimulatedLight:
             irradiance = self._collected(scene, begin, end)[0].double()
             if self._past:
                 opened = np.full(self._camera.mask_shape, self._camera.panel.levels - 1, np.uint8)
-                irradiance += self._past * self._settled.collect(scene, opened)[0].double().mean()
+                irradiance += self._past * self._settled.collect(scene, opened)[0].double().mean(
+                    (-2, -1), keepdim=True
+                )
         irradiance *= self._brightness(begin, end)
         missing = math.exp(-max(0.0, begin - self._began_at) / conditions.warm_up_time)
         irradiance = irradiance * (1 - conditions.warm_up * missing)
@@ -210,18 +249,21 @@ class SimulatedLight:
         return raw.astype(np.uint16)
 
     def _noisy(self, irradiance: torch.Tensor) -> torch.Tensor:
-        """Photon noise, so that the *binned* measurement has the ratio asked for."""
+        """Return raw pixels whose photon noise gives the *binned* measurement its ratio."""
+        colour = irradiance.ndim == 3
+        raw = pixel_shuffle(irradiance[[0, 1, 1, 2]], 2)[0] if colour else irradiance
         if self._conditions.snr_db == math.inf:
-            return irradiance
+            return raw
         binned = area_average(irradiance, *self._embedding.shape)
-        total = float(binned.sum())
+        # As in veilcam_optics.sensor.noise: variance per unit of light; a measurement is the mean
+        # of as many raw pixels, in colour of its own alone.
+        shares = binned.new_tensor(_BAYER if colour else 1.0).reshape(-1, 1, 1)
+        total = float((binned / shares).sum()) * self._embedding.size / raw.numel()
         if total <= 0:
-            return irradiance
-        # As in veilcam_optics.sensor.noise: variance per unit of light, here for `share` pixels.
-        share = irradiance.numel() / binned.numel()
+            return raw
         unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
-        noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)
-        return irradiance + (irradiance.clamp(min=0) * (share * unit)).sqrt() * noise
+        noise = torch.randn(raw.shape, generator=self._generator, dtype=raw.dtype)
+        return raw + (raw.clamp(min=0) * unit).sqrt() * noise
 
     def _brightness(self, begin: float, end: float) -> float:
         """Mean brightness of the lamp over an exposure."""
@@ -343,7 +385,7 @@ def simulated_device(
     )
     start_sensor, break_sensor = sensor.emulate(
         *(frames, mode),
-        shape=embedding.shape,
+        shape=(*scenes.shape[:-2], *embedding.shape),
         exposure=conditions.exposure,
         full_scale=full_scale,
         clock=clock,

@@ -1,4 +1,4 @@
-"""Pictures of any size and colour as scenes: grey, of the scene's size.
+"""Pictures of any size and colour as scenes: of the scene's size, grey or in colour.
 
 Values are taken as reflectances, as training takes them: no gamma is undone.
 """
@@ -22,20 +22,23 @@ LUMA = (0.299, 0.587, 0.114)
 _NPY = b"\x93NUMPY"
 
 
-def as_scene(picture: bytes | Picture, shape: tuple[int, int]) -> Reflectance:
+def as_scene(picture: bytes | Picture, shape: tuple[int, ...]) -> Reflectance:
     """Return a picture as a scene: as large as fits, its sides' ratio kept, black around it.
 
     Args:
         picture: content of a file as :func:`decoded` takes it; or an array, (rows, columns) or
             (rows, columns, 3), of uint8 or uint16, the largest number being white, or floats in
             [0, 1].
-        shape: rows and columns of the scene, whose pixels are square.
+        shape: (rows, columns) of the scene, whose pixels are square; (3, rows, columns) in colour.
 
     Raises:
         PictureError: it is none of those, or too large.
     """
-    values = decoded(picture) if isinstance(picture, bytes) else picture
-    return _fitted(_grey(_reflectance(values)), shape)
+    values = _reflectance(decoded(picture) if isinstance(picture, bytes) else picture)
+    if len(shape) == 2:
+        return _fitted(_grey(values), shape)
+    planes = [values] * 3 if values.ndim == 2 else np.moveaxis(values, 2, 0)
+    return np.stack([_fitted(plane, shape[1:]) for plane in planes])
 
 
 def decoded(content: bytes) -> Picture:
@@ -59,7 +62,7 @@ def range_warning(picture: Picture) -> str | None:
     return None if used is None else f"uses only {used}: spread its values over the range"
 
 
-def _fitted(grey: Reflectance, shape: tuple[int, int]) -> Reflectance:
+def _fitted(grey: Reflectance, shape: tuple[int, ...]) -> Reflectance:
     scale = min(wanted / given for wanted, given in zip(shape, grey.shape, strict=True))
     inner = tuple(max(1, round(scale * given)) for given in grey.shape)
     if inner != grey.shape:

@@ -23,12 +23,12 @@ _PARTS = ("validation", "test")
 log = structlog.get_logger()
 
 
-def open_scenes(settings: Settings, shape: tuple[int, int]) -> list[SceneSource]:
+def open_scenes(settings: Settings, shape: tuple[int, ...]) -> list[SceneSource]:
     """Return every scene that the settings name, in their order; each can be seen.
 
     Args:
         settings: checked.
-        shape: rows and columns of a scene.
+        shape: shape of a scene, (rows, columns) or (3, rows, columns).
 
     Raises:
         StartError: a folder without images, or a data set that cannot be read.
@@ -58,7 +58,7 @@ def open_scenes(settings: Settings, shape: tuple[int, int]) -> list[SceneSource]
     return seen
 
 
-def _named(name: str, shape: tuple[int, int], *, skip: bool) -> Iterator[SceneSource]:
+def _named(name: str, shape: tuple[int, ...], *, skip: bool) -> Iterator[SceneSource]:
     path = Path(name)
     if path.is_dir():
         yield from _folder(path, shape)
@@ -68,7 +68,7 @@ def _named(name: str, shape: tuple[int, int], *, skip: bool) -> Iterator[SceneSo
         yield FileScene(path, shape)
 
 
-def _folder(folder: Path, shape: tuple[int, int]) -> Iterator[SceneSource]:
+def _folder(folder: Path, shape: tuple[int, ...]) -> Iterator[SceneSource]:
     paths, others = choose_pictures(sorted(folder.iterdir()), (".npy", *SUFFIXES))
     passed = f"passed over: {in_words(others)}" if others else "it is empty"
     if not paths:
@@ -81,7 +81,7 @@ def _folder(folder: Path, shape: tuple[int, int]) -> Iterator[SceneSource]:
         yield FileScene(path, shape)
 
 
-def _data_set(name: str, shape: tuple[int, int], *, skip: bool) -> Iterator[SceneSource]:
+def _data_set(name: str, shape: tuple[int, ...], *, skip: bool) -> Iterator[SceneSource]:
     """Yield the images of a part of a data set; labels stay on the disk."""
     # Imported late: of all daemons, only those that look at a data set need it.
     import torch  # noqa: PLC0415

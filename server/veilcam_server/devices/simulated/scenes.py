@@ -32,7 +32,7 @@ class SceneSource(Protocol):
     """One scene."""
 
     def read(self) -> npt.NDArray[np.float32]:
-        """Return reflectance in [0, 1], shape (rows, columns).
+        """Return reflectance in [0, 1], (rows, columns), or (3, rows, columns) in colour.
 
         Raises:
             LightError: there is nothing that light could come from.
@@ -42,7 +42,7 @@ class SceneSource(Protocol):
 class FileScene:
     """A picture in a file, fitted to the shape of the scene."""
 
-    def __init__(self, path: Path, shape: tuple[int, int]) -> None:
+    def __init__(self, path: Path, shape: tuple[int, ...]) -> None:
         self.path, self._shape = path, shape
 
     def read(self) -> npt.NDArray[np.float32]:
@@ -75,7 +75,7 @@ class StillScene:
     """A picture in memory, fitted to the shape of the scene whenever it is looked at."""
 
     picture: Picture = field(repr=False)
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
 
     def read(self) -> npt.NDArray[np.float32]:
         """Return the picture; raises :class:`PictureError` for what is none."""
@@ -119,8 +119,7 @@ class Scenes:
         if not deck:
             raise ValueError("deck = () is not valid: use one scene or more")
         self._deck, self._clock = tuple(deck), clock
-        rows, columns = self._deck[0].read().shape
-        self.shape = (rows, columns)
+        self.shape = self._deck[0].read().shape
         """Of every scene."""
         self._place, self._free = 0, len(self._deck)
         self._shown = deque([_Shown(0, self._deck[0], -math.inf)], maxlen=REMEMBERED)
@@ -148,7 +147,8 @@ class Scenes:
             with self._lock:
                 self._show(self._place, self._deck[self._place])
                 return self._place
-        scene = StillScene(as_scene(np.asarray(picture), self.shape), self.shape)
+        scene = StillScene(np.asarray(picture).copy(), self.shape)
+        scene.read()
         with self._lock:
             number, self._free = self._free, self._free + 1
             self._show(number, scene)

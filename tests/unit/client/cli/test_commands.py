@@ -80,4 +80,4 @@ def test_drawing_has_two_values_a_character() -> None:
         "\x1b[38;5;255;48;5;232m▀\x1b[38;5;232;48;5;232m▀\x1b[0m"
     )
     assert "nan" not in in_blocks(np.ones((2, 2), np.float32))
-    assert in_blocks(np.ones((2, 2, 3), np.float32)).count("▀") == 6
+    assert in_blocks(np.ones((3, 4, 2), np.float32)).count("▀") == 2 * 6

@@ -218,7 +218,7 @@ def test_picture_goes_from_black_to_white() -> None:
     ("values", "shape"),
     [
         (np.zeros(3, np.float32), (85, 255)),
-        (np.ones((2, 3, 4), np.float32), (42, 252)),
+        (np.ones((3, 3, 4), np.float32), (63, 252)),
         (np.array([[-3e38, 3e38]], np.float32), (128, 256)),
         (np.zeros((600, 2), np.float32), (600, 2)),
     ],

@@ -111,7 +111,7 @@ def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_panel_that_was_added_is_opened_with_what_it_needs(
     bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened: list[tuple[int, int]] = []
+    opened: list[tuple[int, ...]] = []
 
     class Started:
         name, full_scale = "OTHER", 1.0
@@ -122,7 +122,7 @@ def test_panel_that_was_added_is_opened_with_what_it_needs(
         def close(self) -> None:
             """Nothing was opened."""
 
-    def start(settings: Settings, shape: tuple[int, int]) -> Any:
+    def start(settings: Settings, shape: tuple[int, ...]) -> Any:
         opened.append(shape)
         return Started()
 

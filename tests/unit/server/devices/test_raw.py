@@ -31,6 +31,17 @@ def test_embedding_is_the_area_average(raw: tuple[int, int], embedding: tuple[in
     np.testing.assert_allclose(Binning(raw, embedding).means(frame), expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("order", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_channel_is_the_mean_of_its_own_pixels(order: str) -> None:
+    frame = RNG.integers(0, 65536, (12, 16), np.uint16)
+    colours = np.tile(np.array(list(order)).reshape(2, 2), (6, 8))
+    means = Binning(frame.shape, (3, 3, 4)).means(frame, order)
+    for row, column in ((0, 0), (1, 3), (2, 1)):
+        box = slice(4 * row, 4 * row + 4), slice(4 * column, 4 * column + 4)
+        expected = [frame[box][colours[box] == colour].mean() for colour in "RGB"]
+        assert means[:, row, column] == pytest.approx(expected)
+
+
 def test_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
     frame = np.array([[1, 2, 10, 4, 5]], np.uint16)
     expected = [Fraction(1 + 2 + 5) / Fraction(5, 2), Fraction(5 + 4 + 5) / Fraction(5, 2)]
@@ -61,3 +72,5 @@ def test_frame_that_does_not_fit_is_refused() -> None:
         Binning((4, 9), (2, 3)).means(np.zeros((9, 4), np.uint16))
     with pytest.raises(ValueError, match="use 1 to 9"):
         Binning((4, 9), (2, 10))
+    with pytest.raises(ValueError, match="use 1 to 2"):
+        Binning((4, 9), (3, 3, 4))

@@ -117,6 +117,7 @@ def make_card(
         TrainingError: pictures or a mode that do not go with the bundle, or work that is of another
             card or damaged.
     """
+    require(bundle.channels == 1, "a colour bundle cannot be attacked: use a gray one")
     classes, labels = int(images.labels.max()) + 1, len(bundle.labels)
     require(
         classes <= labels,

@@ -119,7 +119,6 @@ def make_subject(
         form != "white" or mode == "fresh",
         f"mode {mode} has no form white: use raw or sealed",
     )
-    require(bundle.channels == 1, "a colour bundle cannot be attacked: use a gray one")
     require(
         tuple(scenes.shape[1:]) == bundle.scene.shape,
         f"pictures are {tuple(scenes.shape[1:])} and the bundle's scenes {bundle.scene.shape}: "

@@ -47,8 +47,8 @@ OLD, NEW = (RNG.integers(0, 64, CAMERA.mask_shape).astype(np.uint8) for _ in ran
 class Still:
     """A scene that does not change."""
 
-    def __init__(self) -> None:
-        self.image = RNG.random((28, 28), np.float32)
+    def __init__(self, image: Measurement | None = None) -> None:
+        self.image = RNG.random((28, 28), np.float32) if image is None else image
 
     def read(self) -> npt.NDArray[np.float32]:
         return self.image
@@ -77,9 +77,14 @@ class Simulation:
     """A display and a sensor on one clock, without noise unless asked for."""
 
     def __init__(
-        self, light: Light, conditions: Conditions = QUIET, *, seed: int | None = 1
+        self,
+        light: Light,
+        conditions: Conditions = QUIET,
+        *,
+        seed: int | None = 1,
+        scene: Measurement | None = None,
     ) -> None:
-        self.clock, self.scene, self.light = Clock(), Still(), light
+        self.clock, self.scene, self.light = Clock(), Still(scene), light
         device = simulated_device(
             light,
             self.scene,
@@ -141,6 +146,36 @@ def test_light_is_within_its_predicted_error(imperfections: Imperfections) -> No
     seen = area_average(light.collect(points, light.response(weights)).double(), 3, 4).flatten(1)
     error = difference(seen.numpy(), LightOperator(fine)(weights).numpy())
     assert error < logs[0]["predicted_error"] < DECODERS_TOLERANCE
+
+
+@pytest.mark.parametrize("imperfections", [NOMINAL, BUILT_BADLY])
+def test_sensor_in_colour_gives_the_channels_of_the_transfer(imperfections: Imperfections) -> None:
+    scene = RNG.random((3, *SCENE.shape), np.float32)
+    simulation = Simulation(
+        planned_light(CAMERA, SCENE, EMBEDDING, imperfections, colour=True), scene=scene
+    )
+    simulation.display.show(NEW)
+    model = Model(CAMERA, SCENE, EMBEDDING, Optical(imperfections=imperfections))
+    transfer = LightOperator(model, colour=True)(torch.from_numpy(to_weights(NEW, CAMERA.panel)))
+    expected = np.einsum("cp,cpe->ce", scene.reshape(3, -1), transfer.numpy())
+    seen = simulation.capture()
+    assert seen.shape == (3, *EMBEDDING.shape)
+    for channel in range(3):
+        assert difference(seen[channel].ravel(), expected[channel]) < ROUNDING + DECODERS_TOLERANCE
+
+
+def test_noise_in_colour_has_the_ratio_asked_for() -> None:
+    light = planned_light(CAMERA, SCENE, EMBEDDING, colour=True)
+    scene = RNG.random((3, *SCENE.shape), np.float32)
+    quiet, noisy = (
+        Simulation(light, replace(QUIET, snr_db=snr_db), scene=scene) for snr_db in (np.inf, 40.0)
+    )
+    for simulation in (quiet, noisy):
+        simulation.display.show(NEW)
+    clean = quiet.capture()
+    noise = np.stack([noisy.capture() for _ in range(50)]) - clean
+    ratio = 10 * np.log10(np.square(clean).sum() / np.square(noise).sum((1, 2, 3)).mean())
+    assert ratio == pytest.approx(40.0, abs=0.5)
 
 
 def test_light_that_takes_long_is_as_coarse_as_a_decoders(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,6 +48,8 @@ def test_every_depth_has_the_same_grey() -> None:
 def test_colour_becomes_grey_and_what_is_transparent_black() -> None:
     colours = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)
     assert as_scene(colours, (1, 3))[0] == pytest.approx([0.299, 0.587, 0.114])
+    assert np.array_equal(as_scene(colours, (3, 1, 3))[:, 0], np.eye(3))
+    assert as_scene(WHITE[:, :2], (3, 4, 4)).mean((1, 2)) == pytest.approx([0.5] * 3)
     clear = Image.new("RGBA", (2, 2), (255, 255, 255, 51))
     assert as_scene(encoded(clear), (2, 2)) == pytest.approx(0.2)
 

@@ -66,3 +66,10 @@ def test_scene_that_cannot_be_held_up_changes_nothing() -> None:
     assert now(deck) == (0, 0.1)
     with pytest.raises(ValueError, match="use one scene or more"):
         Scenes(())
+
+
+def test_picture_held_up_in_colour_keeps_it() -> None:
+    deck = Scenes([StillScene(np.full((2, 4), 0.5), (3, 2, 4))])
+    assert deck.read() == pytest.approx(np.full((3, 2, 4), 0.5))
+    deck.hold(np.full((4, 8, 3), (0, 51, 255), np.uint8))
+    assert deck.read().mean((1, 2)) == pytest.approx([0, 0.2, 1])
