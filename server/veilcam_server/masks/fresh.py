@@ -22,7 +22,7 @@ from veilcam_server.devices.base import Levels, Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.source import Evidence, Mask, transmittance
-from veilcam_training.bundle import Bundle, Fresh, classifier_inputs
+from veilcam_training.bundle import Bundle, classifier_inputs
 
 Values = npt.NDArray[Any]
 
@@ -31,7 +31,6 @@ Values = npt.NDArray[Any]
 class FreshReader:
     """Decodes what was read behind one mask and gives it to the classifier of all masks."""
 
-    fresh: Fresh = field(repr=False)
     classifier: Classifier = field(repr=False)
     decoder: Decoder[Values] = field(repr=False)
     whitening: Whitening[Values] | None = field(repr=False)
@@ -155,7 +154,7 @@ class FreshSource:
         finally:
             drawn[:] = turned[:] = bytes(KEY_BYTES)
         passes = transmittance(levels, self._camera.panel.levels)
-        return Mask(levels, FreshReader(self._fresh, self._classifier, decoder, whitening, passes))
+        return Mask(levels, FreshReader(self._classifier, decoder, whitening, passes))
 
     def _levels(self, key: bytes | bytearray) -> Levels:
         return draw_levels(key, camera=self._camera, distribution=self._fresh.distribution)
