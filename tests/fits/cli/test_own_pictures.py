@@ -66,32 +66,37 @@ def draw(folder: Path, *names: str) -> Path:
     return folder
 
 
-COLOURS = {"red": (200, 60, 60), "green": (60, 200, 60), "blue": (60, 60, 200)}
+COLOURS = {"blue": (60, 60, 200), "green": (60, 200, 60), "red": (200, 60, 60)}
+
+
+@pytest.fixture
+def coloured(tmp_path: Path) -> Path:
+    """A folder of 20 pictures of each colour, none of which is plain."""
+    draws = np.random.default_rng(4)
+    for name, colour in COLOURS.items():
+        (tmp_path / "data" / name).mkdir(parents=True)
+        for number in range(20):
+            pixels = (np.array(colour) + draws.integers(-50, 51, (12, 16, 3))).astype(np.uint8)
+            Image.fromarray(pixels).save(tmp_path / "data" / name / f"{number:02}.png")
+    return tmp_path / "data"
 
 
 @pytest.mark.slow
-def test_folder_in_colour_is_fitted_and_served(call: Call, tmp_path: Path) -> None:
-    data, out = tmp_path / "data", tmp_path / "own.veilcam"
-    draws = np.random.default_rng(4)
-    for name, colour in COLOURS.items():
-        (data / name).mkdir(parents=True)
-        for number in range(20):
-            noise = draws.integers(-50, 51, (12, 16, 3))
-            pixels = (np.array(colour) + noise).astype(np.uint8)
-            Image.fromarray(pixels).save(data / name / f"{number:02}.png")
+def test_folder_in_colour_is_fitted_and_served(call: Call, coloured: Path, tmp_path: Path) -> None:
+    data, out = coloured, tmp_path / "own.veilcam"
     call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out)
     bundle = read_bundle(out)
     assert bundle.channels == 3
     pair = bundle.pairs[0]
     transfer = TransferOperator(bundle.camera, bundle.scene, bundle.embedding, colour=True)
-    files = [path for name in sorted(COLOURS) for path in sorted((data / name).iterdir())]
+    files = [path for name in COLOURS for path in sorted((data / name).iterdir())]
     pictures = torch.from_numpy(np.stack([np.asarray(Image.open(path)) for path in files]))
     weights = torch.from_numpy(to_weights(pair.levels, bundle.camera.panel))
     expected = transfer.embed(pictures.permute(0, 3, 1, 2) / 255, weights)
     scores = build_classifier(pair.layers, pair.weights)(expected.flatten(1))
     labels = [bundle.labels[place] for place in scores.argmax(1)]
     assert set(labels) == set(COLOURS)
-    folders = tuple(str(data / name) for name in sorted(COLOURS))
+    folders = tuple(str(data / name) for name in COLOURS)
     settings = {"bundle": out, "scenes": folders, "release": "raw", "raw_budget": 100}
     with FakeCamera(settings) as fake, fake.camera() as camera:
         assert camera.status().bundle.embedding_shape == (3, 6, 8)
@@ -100,6 +105,21 @@ def test_folder_in_colour_is_fitted_and_served(call: Call, tmp_path: Path) -> No
     assert sum(told) >= len(files) - 3
     seen = np.stack([np.asarray(answer) for answer in answers])
     assert np.linalg.norm(seen - expected.numpy()) < 0.02 * np.linalg.norm(expected)
+
+
+@pytest.mark.slow
+def test_fresh_masks_read_a_folder_in_colour(call: Call, coloured: Path, tmp_path: Path) -> None:
+    config, out = tmp_path / "a.toml", tmp_path / "own.veilcam"
+    config.write_text(
+        'embedding = "6x8"\nvalidation_masks = 4\nmasks = 8\n[misalignment]\npanels = 2'
+    )
+    options = ("--config", config, "--epochs", 16, "--batch", 8, "--masks", 4, "--seed", 0)
+    call("fit-fresh", "--data", coloured, *options, "--device", "cpu", "--out", out)
+    folders = tuple(str(coloured / name) for name in COLOURS)
+    with FakeCamera({"bundle": out, "scenes": folders}) as fake, fake.camera() as camera:
+        assert camera.status().release == "none"
+        told = [camera.classify().label for _ in range(60)]
+    assert sum(label == list(COLOURS)[place // 20] for place, label in enumerate(told)) >= 57
 
 
 @pytest.mark.thorough
