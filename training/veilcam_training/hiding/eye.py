@@ -8,23 +8,17 @@ are separable: the measurement is projected back to the size of the scene, and n
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.transfer.tables import Reach, make_transfer
-from veilcam_training.hiding.scenes import (
-    GROUP,
-    drawn_scenes,
-    noisy,
-    pinhole,
-    random_masks,
-    smoother,
-)
+from veilcam_training.hiding.pinholes import Kernel, Measurer, pinhole, pinhole_kernels
+from veilcam_training.hiding.scenes import GROUP, drawn_scenes, random_masks, smoother
 
 Values = npt.NDArray[Any]
 
@@ -100,27 +94,17 @@ class Eye:
     ) -> None:
         self.scenes = drawn_scenes(scene, channels, SCENES) if scenes is None else scenes
         self._camera, self._embedding, self._channels = camera, embedding, channels
-        like, colour = np.empty(0, np.float32), channels > 1
-        self._transfer = make_transfer(camera, scene, embedding, colour=colour, like=like)
+        self._measure = Measurer(camera, scene, embedding, channels)
         sigma = _SMOOTH * embedding.rows
         self._smooth_y = smoother(embedding.rows, sigma)
         self._smooth_x = smoother(embedding.columns, sigma)
         self._colours = [
             self._prepare(channel, _Axis.of(y, self._smooth_y), _Axis.of(x, self._smooth_x))
-            for channel, y, x in _kernels(camera, scene, embedding, colour=colour)
+            for channel, y, x in _brightest(pinhole_kernels(camera, scene, embedding, channels))
         ]
         self.pinhole = self.seen(pinhole(camera))
         # Twenty masks are many: a hundred scenes behind each are enough.
         self.random = float(np.mean([self.seen(mask, GROUP) for mask in random_masks(camera)]))
-
-    def measure(self, weights: Values, count: int | None = None) -> Values:
-        """Return noisy measurements of the first candidates, float32 (count, channels * pixels)."""
-        scenes = self.scenes[:count]
-        count = len(scenes)
-        transfer = self._transfer(weights.astype(np.float32))
-        transfer = transfer.reshape(self._channels, -1, self._embedding.size)
-        flat = scenes.reshape(count, self._channels, -1).transpose(1, 0, 2)
-        return noisy((flat @ transfer).transpose(1, 0, 2).reshape(count, -1))
 
     def seen(self, weights: Values, count: int | None = None) -> float:
         """Return the share of scenes that the eye picks out of a hundred behind a mask.
@@ -132,7 +116,7 @@ class Eye:
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        values = self.measure(weights, count)
+        values = self._measure(self.scenes[:count], weights)
         picked = 0
         for start in range(0, len(values), GROUP):
             group = slice(start, start + GROUP)
@@ -157,7 +141,7 @@ class Eye:
         return best
 
     def _prepare(self, channel: int, y: _Axis, x: _Axis) -> _Colour:
-        faded = self.scenes[:, channel] * self._transfer.fade
+        faded = self.scenes[:, channel] * self._measure.fade
         modes = y.modes.T @ faded @ x.modes
         means, norms = [], []
         right = np.concatenate([x.sharp, -x.smooth], axis=1).transpose(1, 0, 2)
@@ -180,23 +164,20 @@ class Eye:
         )
 
 
-def _kernels(
-    camera: Camera, scene: Scene, embedding: Embedding, *, colour: bool
-) -> Iterator[tuple[int, Values, Values]]:
-    """Channel of the measurement, and kernels of sub-pixels that let no light interfere.
+@lru_cache(maxsize=2)
+def drawn_eye(camera: Camera, scene: Scene, embedding: Embedding, channels: int) -> Eye:
+    """Return the eye that looks for drawn scenes; it is made once for each camera."""
+    return Eye(camera, scene, embedding, channels)
 
-    A gray camera is looked at through its green sub-pixels, which are the brightest.
-    """
-    transfer = make_transfer(
-        camera, scene, embedding, reach=Reach(0, 0), colour=True, like=np.empty(0, np.float32)
-    )
-    for channel, measurement in enumerate(transfer.measurements):
-        if not colour and channel != 1:
-            continue
-        (stack,) = measurement.stacks
-        y = measurement.rows.T.reshape(-1, scene.rows, embedding.rows)
-        x = stack.columns[0].reshape(-1, scene.columns, embedding.columns)
-        yield channel if colour else 0, y, x
+
+def _brightest(kernels: Iterable[Kernel]) -> Iterable[Kernel]:
+    """Kernels of the brightest colour of each channel: a gray camera adds up three."""
+    best: dict[int, Kernel] = {}
+    for kernel in kernels:
+        before = best.get(kernel[0])
+        if before is None or kernel[1].sum() > before[1].sum():
+            best[kernel[0]] = kernel
+    return best.values()
 
 
 def _correlations(image: Values, colour: _Colour, group: slice) -> Iterator[Values]:

@@ -45,15 +45,6 @@ def random_masks(camera: Camera, count: int = RANDOM) -> Values:
     return np.random.default_rng(0).random((count, *camera.mask_shape), np.float32)
 
 
-def pinhole(camera: Camera) -> Values:
-    """Return the mask of one open sub-pixel of each colour in the middle of the window."""
-    rows, columns = camera.mask_shape
-    mask = np.zeros((rows, columns), np.float32)
-    top = max(0, rows // 2 - 1)
-    mask[top : top + 3, columns // 2] = 1
-    return mask
-
-
 def noisy(measurements: Values) -> Values:
     """Return float32 measurements (count, pixels) with shot noise of 40 dB, the same every time."""
     lit = np.clip(measurements, 0, None)
