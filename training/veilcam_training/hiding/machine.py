@@ -14,8 +14,8 @@ from veilcam_training.hiding.scenes import smoother
 
 Values = npt.NDArray[Any]
 
-_MEAN, _VARIANCE = 1 / 3, 4 / 45
-"""Of the power that a uniform random weight lets through."""
+_POWERS = ((1 / 3, 4 / 45), (0.1, 0.06), (0.03, 0.02))
+"""Means and variances of the power that weights let through: uniform ones, sparse, holes."""
 _ERROR = 0.02
 """Relative error of a measurement: noise, and light that interferes."""
 _FINEST = Embedding(12, 16)
@@ -98,13 +98,21 @@ def _by_evidence(
     scores = []
     for scene in scenes:
         shown = np.concatenate([_pictures(y @ down.T, x @ across.T, scene) for _, y, x in kernels])
-        mean = _MEAN * shown.sum(0).astype(np.float64)
-        spread = _VARIANCE * (shown.T @ shown).astype(np.float64)
-        noise = _ERROR**2 * (np.square(mean).mean() + spread.diagonal().mean())
-        factor = np.linalg.cholesky(spread + noise * np.eye(len(mean)))
-        off = np.linalg.solve(factor, (coarse - mean).T)
-        scores.append(-np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum())
+        total = shown.sum(0).astype(np.float64)
+        gram = (shown.T @ shown).astype(np.float64)
+        likelihoods = [
+            _log_likelihood(coarse, mean * total, variance * gram) for mean, variance in _POWERS
+        ]
+        scores.append(np.max(likelihoods, axis=0))
     return np.stack(scores, axis=1)
+
+
+def _log_likelihood(values: Values, mean: Values, covariance: Values) -> Values:
+    """Log likelihoods of measurements (count, pixels) under a Gaussian and noise, (count,)."""
+    noise = _ERROR**2 * (np.square(mean).mean() + covariance.diagonal().mean())
+    factor = np.linalg.cholesky(covariance + noise * np.eye(len(mean)))
+    off = np.linalg.solve(factor, (values - mean).T)
+    return -np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum()
 
 
 def _pictures(y: Values, x: Values, scene: Values) -> Values:
