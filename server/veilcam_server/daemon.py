@@ -12,6 +12,7 @@ import uvicorn
 
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
+from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.loader import (
     Identity,
     Opener,
@@ -90,7 +91,12 @@ def build_service(settings: Settings) -> Service:
             budget = ReleaseBudget(settings.state_dir, settings.raw_budget, faults.append)
             signed = open_calibration(settings, bundle, key, faults.append)
             owners = Owners.open(settings.owner_keys)
-            opener = Opener(bundle, source_opener(settings, signed), owners)
+            opener = Opener(
+                bundle,
+                source_opener(settings, signed),
+                owners,
+                HidingCheck(allow=settings.allow_visible),
+            )
             store = BundleStore(
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
             )

@@ -624,7 +624,7 @@ class BundleRevealsError(
     ProblemError,
     code="bundle_reveals",
     status=422,
-    title="The bundle's masks hide nothing",
+    title="The bundle's masks show pictures of the scene",
     remedy="install_bundle",
 ):
     """A bundle with a mask behind which the embedding is a picture."""

@@ -157,6 +157,8 @@ class Settings(Wiring):
     each, of 'veilcam-train bundle keygen'."""
     allow_older: bool = False
     """Start with a bundle of an older version than the one that was in use."""
+    allow_visible: bool = False
+    """Take bundles whose masks show pictures of the scene."""
     device: Literal["pi", "simulated"] = "pi"
     """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()

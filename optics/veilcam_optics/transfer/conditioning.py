@@ -1,15 +1,12 @@
-"""Conditioning of a mask's transfer matrix: whether the mask hides what is before it.
+"""Conditioning of a mask's transfer matrix: the mask tells more apart than a blur.
 
-A mask that hides lays many shifted images of the scene over each other. Its transfer matrix then
-carries many directions of a scene's space to the sensor, by an amount that only the mask tells; and
-what it does to a scene pixel, other than an open window would, it does all over the sensor. Behind
-one hole, the embedding is a picture. Behind an open window it is a picture that is out of focus,
-which whoever knows the camera can put right.
+A mask that lays many shifted images of the scene over each other carries many directions of a
+scene's space to the sensor. Behind an open window, stripes or one large hole, the embedding is a
+picture out of focus, which whoever knows the camera can put right.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,18 +25,6 @@ DRAWN = 8
 """Random masks whose mean is what others are compared with."""
 
 
-@dataclass(frozen=True, slots=True)
-class Conditioning:
-    """Conditioning of one mask, in shares of that of random masks in the same camera."""
-
-    directions: float
-    """Singular values of T above the floor, each of its columns less its mean."""
-    spread: float
-    """Participation ratio of the elements of what is the mask's own in T."""
-    own: float
-    """Energy of that: of T less what is proportional to T of an open window."""
-
-
 class ConditioningMeter:
     """Measures masks of one camera.
 
@@ -54,13 +39,14 @@ class ConditioningMeter:
         self._transfer = make_transfer(
             camera, scene, Embedding(rows, columns), like=np.empty(0, np.float32)
         )
-        self._open = self._transfer(np.ones(camera.mask_shape, np.float32)).astype(np.float64)
         # The same ones always: what is refused stays refused.
         drawn = np.random.default_rng(0).random((DRAWN, *camera.mask_shape), np.float32)
-        self._random = np.mean([self._measure(weights) for weights in drawn], axis=0)
+        self._random = float(np.mean([self._count(weights) for weights in drawn]))
 
-    def __call__(self, weights: Values) -> Conditioning:
-        """Measure one mask.
+    def directions(self, weights: Values) -> float:
+        """Return a mask's number of directions, as a share of that of random masks.
+
+        Directions are the singular values of T above the floor, its columns less their means.
 
         Args:
             weights: amplitude transmittances, float32, ``camera.mask_shape``.
@@ -68,19 +54,13 @@ class ConditioningMeter:
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        return Conditioning(*(self._measure(weights) / self._random).tolist())
+        return self._count(weights) / self._random
 
-    def _measure(self, weights: Values) -> Values:
-        """Return number of singular values, participation ratio and share of energy, (3,)."""
+    def _count(self, weights: Values) -> int:
         transfer = self._transfer(weights).astype(np.float64)
-        light = np.square(transfer).sum()
-        if light == 0:
-            return np.zeros(3)
+        if not transfer.any():
+            return 0
         centred = transfer - transfer.mean(axis=0, keepdims=True)
         # Squares of the singular values: a quarter of the time, and 1e-4 is far above rounding.
         squares = np.linalg.eigvalsh(centred.T @ centred)
-        directions = (squares > FLOOR**2 * squares[-1]).sum()
-        share = (transfer * self._open).sum() / np.square(self._open).sum()
-        own = np.square(transfer - share * self._open)
-        spread = own.sum() ** 2 / max(np.square(own).sum(), 1e-300) / own.size
-        return np.array((directions, spread, own.sum() / light))
+        return int((squares > FLOOR**2 * squares[-1]).sum())

@@ -1,64 +1,96 @@
-"""Refusal of bundles whose masks hide nothing."""
+"""Refusal of bundles whose masks show pictures of the scene."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import structlog
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys.masks import KEY_BYTES, draw_levels
-from veilcam_optics.transfer.conditioning import Conditioning, ConditioningMeter
+from veilcam_optics.transfer.conditioning import ConditioningMeter
 from veilcam_server.errors import BundleRevealsError
-from veilcam_training.bundle import Bundle
+from veilcam_training.bundle import Bundle, shows
+from veilcam_training.hiding.eye import Eye
 
-LEAST = Conditioning(directions=0.75, spread=0.07, own=0.2)
-"""What each mask has at least, as shares of what random ones have in the same camera. Measured on
-both sides by ``python -m benchmarks.privacy.conditioning``; docs/bundle.md says what came of it."""
-DRAWN = 4
-"""Masks of mode ``fresh`` that are tried; none of them is ever shown."""
+LEAST = 0.75
+"""Directions that each mask has at least, as a share of those of random masks."""
+
+log = structlog.get_logger()
 
 
+@dataclass(frozen=True, slots=True)
 class HidingCheck:
-    """Checks the masks of bundles for one camera.
+    """Checks the masks of bundles.
 
     Args:
-        bundle: bundle of that camera, scene and embedding.
+        allow: True takes a bundle that shows pictures of the scene, with a warning.
     """
 
-    def __init__(self, bundle: Bundle) -> None:
-        self._geometry = (bundle.camera, bundle.scene, bundle.embedding)
-
-    @cached_property
-    def _meter(self) -> ConditioningMeter:
-        return ConditioningMeter(*self._geometry)
+    allow: bool = False
 
     def __call__(self, bundle: Bundle) -> None:
-        """Raise :class:`BundleRevealsError` for a mask that hides nothing; it is not described."""
-        for index, weights in enumerate(_masks(bundle)):
-            try:
-                found = self._meter(weights)
-            except OpticsError as error:
-                raise BundleRevealsError(f"mask {index} cannot be measured: {error}") from None
-            for name in ("directions", "spread", "own"):
-                share, least = getattr(found, name), getattr(LEAST, name)
-                if share < least:
-                    raise BundleRevealsError(
-                        f"mask {index} hides nothing ({name}: {share:.2f} of a random mask's, and "
-                        f"{least:g} is the least): train another"
-                    )
+        """Raise :class:`BundleRevealsError` for a mask that shows pictures; it is not described."""
+        try:
+            _check_blur(bundle)
+            _check_eye(bundle)
+        except OpticsError as error:
+            raise BundleRevealsError(f"a mask cannot be measured: {error}") from None
+        except BundleRevealsError as error:
+            if not self.allow:
+                raise
+            log.warning("bundle taken all the same", reason=str(error))
+
+
+def _check_blur(bundle: Bundle) -> None:
+    meter = _meter(bundle.camera, bundle.scene, bundle.embedding)
+    for number, weights in enumerate(_masks(bundle)):
+        found = meter.directions(weights)
+        if found < LEAST:
+            raise BundleRevealsError(
+                f"mask {number} shows pictures of the scene, out of focus (directions: {found:.2f} "
+                f"of a random mask's, and {LEAST:g} is the least): train another"
+            )
+
+
+def _check_eye(bundle: Bundle) -> None:
+    """Look through every mask, unless the bundle holds a record of just these."""
+    record = bundle.hiding
+    if record is not None and record.digest == bundle.masks_digest:
+        if record.visible:
+            raise _shown(record.worst, record.seen, record.random_seen)
+        return
+    eye = _eye(bundle.camera, bundle.scene, bundle.embedding, bundle.channels)
+    for number, weights in enumerate(_masks(bundle)):
+        seen = eye.seen(weights)
+        if shows(seen, eye.random, eye.pinhole):
+            raise _shown(number, seen, eye.random)
+
+
+def _shown(number: int, seen: float, random: float) -> BundleRevealsError:
+    return BundleRevealsError(
+        f"mask {number} shows pictures of the scene (an eye picks {100 * seen:.0f} % of scenes out "
+        f"of a hundred, and {100 * random:.0f} % behind random masks): train another"
+    )
+
+
+@lru_cache(maxsize=2)
+def _meter(camera: Camera, scene: Scene, embedding: Embedding) -> ConditioningMeter:
+    return ConditioningMeter(camera, scene, embedding)
+
+
+@lru_cache(maxsize=2)
+def _eye(camera: Camera, scene: Scene, embedding: Embedding, channels: Literal[1, 3]) -> Eye:
+    return Eye(camera, scene, embedding, channels)
 
 
 def _masks(bundle: Bundle) -> Iterator[npt.NDArray[np.float32]]:
     """Weights of all stored masks, or of some that the bundle's rule draws from known keys."""
-    if bundle.fresh is None:
-        for pair in bundle.pairs:
-            yield to_weights(pair.levels, bundle.camera.panel)
-        return
-    for number in range(DRAWN):
-        key = bytes([number]) * KEY_BYTES  # always the same: what is refused stays refused
-        levels = draw_levels(key, camera=bundle.camera, distribution=bundle.fresh.distribution)
+    for levels in bundle.masks():
         yield to_weights(levels, bundle.camera.panel)

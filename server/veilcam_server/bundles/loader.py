@@ -187,18 +187,22 @@ class Opener:
         configured: the bundle that the daemon was started with.
         open_source: makes a bundle's source of masks, or raises :class:`StartError`.
         owners: owners whose bundles are taken.
+        check_hiding: check of a bundle's masks.
     """
 
     def __init__(
-        self, configured: Bundle, open_source: OpenSource, owners: Owners | None = None
+        self,
+        configured: Bundle,
+        open_source: OpenSource,
+        owners: Owners | None = None,
+        check_hiding: HidingCheck = HidingCheck(),  # noqa: B008 - it never changes
     ) -> None:
         self._configured, self._open_source = configured, open_source
-        self.owners = owners or Owners()
-        self._check_hiding = HidingCheck(configured)
+        self.owners, self._check_hiding = owners or Owners(), check_hiding
 
     def with_source(self, open_source: OpenSource) -> Opener:
         """Return the same opener with another maker of mask sources."""
-        return Opener(self._configured, open_source, self.owners)
+        return Opener(self._configured, open_source, self.owners, self._check_hiding)
 
     def read(self, path: Path) -> Bundle:
         """Read a bundle that fits this camera.
@@ -231,7 +235,7 @@ class Opener:
 
         Raises:
             BundleUntrustedError: no owner signed it.
-            BundleRevealsError: its masks hide nothing.
+            BundleRevealsError: its masks show pictures of the scene.
         """
         self.owners.check(bundle)
         self._check_hiding(bundle)

@@ -63,7 +63,7 @@ class BundleManager:
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
-            BundleRevealsError: its masks hide nothing.
+            BundleRevealsError: its masks show pictures of the scene.
             BundlesFullError, BundleStoreError: it cannot be stored now.
         """
         with self._store.incoming() as (path, stream):
@@ -90,7 +90,7 @@ class BundleManager:
             UnknownBundleError: there is none of this digest.
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
             BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
-            BundleRevealsError: its masks hide nothing.
+            BundleRevealsError: its masks show pictures of the scene.
             BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():

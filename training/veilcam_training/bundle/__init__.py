@@ -4,6 +4,7 @@ from veilcam_training.bundle.archive import add_card, read_bundle, sign_bundle, 
 from veilcam_training.bundle.card import CardRow, Finding, Outcome, PrivacyCard
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Fresh, classifier_inputs
+from veilcam_training.bundle.hiding import Hiding, sentences, shows
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, Bundle, LightPlan, Pair, TransferError
 from veilcam_training.bundle.network import Network
@@ -16,6 +17,7 @@ __all__ = [
     "CardRow",
     "Finding",
     "Fresh",
+    "Hiding",
     "LayerRecord",
     "LightPlan",
     "Network",
@@ -28,6 +30,8 @@ __all__ = [
     "classifier_inputs",
     "read_bundle",
     "read_key",
+    "sentences",
+    "shows",
     "sign_bundle",
     "write_bundle",
     "write_key",

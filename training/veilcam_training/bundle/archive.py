@@ -121,6 +121,7 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         provenance=dict(bundle.provenance),
         accuracy=bundle.accuracy,
         light=bundle.light,
+        hiding=bundle.hiding,
         parts={name: _sha256(data) for name, data in parts.items()},
     )
     parts = {MANIFEST: dump_manifest(manifest), **parts}
@@ -271,6 +272,7 @@ def _read(path: Path) -> Bundle:
         provenance=manifest.provenance,
         accuracy=manifest.accuracy,
         light=manifest.light,
+        hiding=manifest.hiding,
         channels=manifest.channels,
         version=version,
         owner=owner,

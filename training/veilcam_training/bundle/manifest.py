@@ -9,6 +9,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.hiding import Hiding
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, LightPlan, TransferError
 
@@ -54,6 +55,8 @@ class Manifest(BaseModel, frozen=True, extra="forbid", strict=True):
     accuracy: Accuracy | None
     light: LightPlan | None = Field(default=None, exclude_if=lambda it: it is None)
     """Where the light was planned."""
+    hiding: Hiding | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Where it was measured."""
     parts: dict[str, Digest]
     """SHA-256 of every other part, by its name."""
 

@@ -1,7 +1,7 @@
 """The nouns: a bundle is a task and a camera, and pairs of mask and classifier or a key policy."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pydantic import JsonValue
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.keys.masks import KEY_BYTES, draw_levels
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.card import PrivacyCard
 from veilcam_training.bundle.classifier import (
@@ -19,6 +20,7 @@ from veilcam_training.bundle.classifier import (
 )
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh, check_fresh
+from veilcam_training.bundle.hiding import Hiding, masks_digest
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.signature import OwnerKey
 from veilcam_training.labels import labels_fault
@@ -28,6 +30,8 @@ MAX_LAYERS = 2**14
 """Of all classifiers of a bundle."""
 MAX_OPERATIONS = 2**33
 """Products that all classifiers of a bundle may take for one sample each: some seconds."""
+DRAWN = 4
+"""Masks of mode ``fresh`` that are measured."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,8 @@ class Bundle:
     """Mean over the pairs."""
     light: LightPlan | None = None
     """Plan of the scene's light in training, of several grids the worst; None: none is known."""
+    hiding: Hiding | None = None
+    """What attackers without a key found; None: not measured."""
     channels: Literal[1, 3] = 1
     """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
     version: int = 0
@@ -169,6 +175,26 @@ class Bundle:
     def inputs(self) -> int:
         """Number of inputs of a classifier."""
         return self.channels * self.embedding.size if self.fresh is None else self.fresh.inputs
+
+    def masks(self) -> Iterator[npt.NDArray[np.uint8]]:
+        """Levels of all stored masks, or of some that the rule of mode ``fresh`` draws.
+
+        Those are of known keys, the same every time; no panel ever shows them.
+        """
+        if self.fresh is None:
+            yield from (pair.levels for pair in self.pairs)
+            return
+        for number in range(DRAWN):
+            key = bytes([number]) * KEY_BYTES
+            yield draw_levels(key, camera=self.camera, distribution=self.fresh.distribution)
+
+    @property
+    def masks_digest(self) -> str:
+        """SHA-256 of all masks in their order, or of the distribution of mode ``fresh``."""
+        if self.fresh is None:
+            return masks_digest(pair.levels for pair in self.pairs)
+        drawn = self.fresh.distribution
+        return masks_digest((drawn.lowest, drawn.highest, drawn.curve))
 
     @property
     def transfer_error(self) -> TransferError | None:

@@ -9,11 +9,13 @@ import typer
 from rich.console import Console
 
 from veilcam_training.bundle import (
+    Bundle,
     LightPlan,
     OwnerKey,
     TransferError,
     read_bundle,
     read_key,
+    sentences,
     sign_bundle,
     write_key,
 )
@@ -82,6 +84,15 @@ def show_command(
         named = f"{bundle.accuracy.test_set} ({bundle.accuracy.samples})"
         console.print(f"accuracy {100 * bundle.accuracy.value:.2f} % on {named}", markup=False)
     console.print(light_line(bundle.light, bundle.transfer_error))
+    show_hiding(console, bundle)
+
+
+def show_hiding(console: Console, bundle: Bundle) -> None:
+    """Print what a bundle's masks hide, and from whom."""
+    if bundle.hiding is None:
+        console.print("hiding: not measured")
+    else:
+        console.print("\n".join(sentences(bundle.hiding)), soft_wrap=True, highlight=False)
 
 
 def light_line(plan: LightPlan | None, error: TransferError | None) -> str:

@@ -10,7 +10,7 @@ from rich.console import Console
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.decoding import write_frame
 from veilcam_training.bundle import read_bundle, write_bundle
-from veilcam_training.cli.bundle import light_line
+from veilcam_training.cli.bundle import light_line, show_hiding
 from veilcam_training.cli.options import (
     Batch,
     Config,
@@ -82,7 +82,9 @@ def fit_fresh_command(
             work=work,
             callbacks=callbacks,
         )
-    write_bundle(out, as_fresh_bundle(result, source, camera))
+    fitted = as_fresh_bundle(result, source, camera)
+    write_bundle(out, fitted)
+    show_hiding(console, fitted)
     console.print(
         f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
         f"({100 * result.wrong_key_accuracy:.2f} % decoded with another key)\n"

@@ -15,7 +15,7 @@ from veilcam_training.bundle import BundleError, write_bundle
 from veilcam_training.cli.adapt import adapt_command
 from veilcam_training.cli.attack import app as attack_app
 from veilcam_training.cli.bundle import app as bundle_app
-from veilcam_training.cli.bundle import light_line
+from veilcam_training.cli.bundle import light_line, show_hiding
 from veilcam_training.cli.export import export_command
 from veilcam_training.cli.fresh import fit_fresh_command, frame_command
 from veilcam_training.cli.options import (
@@ -200,7 +200,9 @@ def fit_command(
         )
     _show(result)
     if out is not None:
-        write_bundle(out, as_bundle([result], source, camera))
+        bundle = as_bundle([result], source, camera)
+        write_bundle(out, bundle)
+        show_hiding(console, bundle)
         console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
@@ -264,6 +266,7 @@ def keyring_command(
         )
     write_bundle(out, bundle)
     console.print(light_line(bundle.light, bundle.transfer_error))
+    show_hiding(console, bundle)
     if bundle.accuracy is not None:
         console.print(
             f"{pairs} pairs, mean accuracy {100 * bundle.accuracy.value:.2f} % "

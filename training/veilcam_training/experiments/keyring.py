@@ -30,13 +30,17 @@ from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import FitResult, FreshResult, light_plan, run_fit
 from veilcam_training.experiments.model import make_fresh_model, make_model, no_statistics
 from veilcam_training.experiments.records import provenance
+from veilcam_training.hiding.measuring import measure
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.network import weights_of
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.callbacks import Callback
+from veilcam_training.transforms.scene import Transform
 
 _NO_ACCURACY = Accuracy(0.0, "no test", 1)
 """Of a bundle that is written before a fit."""
+_SHOWN = 10_000
+"""Images of a data set that attackers without a key learn or attack."""
 
 
 def fit_keyring(
@@ -203,7 +207,9 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
     ]
     pairs = [as_pair(result.fit.model, result.transfer_error) for result in results]
     accuracy = replace(first, value=mean(result.accuracy.value for result in results))
-    return _of_pairs(results[0].fit.model, pairs, source, camera, record=record, accuracy=accuracy)
+    model = results[0].fit.model
+    bundle = _of_pairs(model, pairs, source, camera, record=record, accuracy=accuracy)
+    return _measured(bundle, source, model.change)
 
 
 def _of_pairs(
@@ -247,9 +253,30 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
         "test_masks": result.masks,
         "wrong_key_accuracy": result.wrong_key_accuracy,
     }
-    return _of_fresh(
-        result.fit.model, result.camera, source, camera, record=record, accuracy=result.accuracy
+    model = result.fit.model
+    bundle = _of_fresh(
+        model, result.camera, source, camera, record=record, accuracy=result.accuracy
     )
+    return _measured(bundle, source, model.change)
+
+
+def _measured(bundle: Bundle, source: Source, change: Transform) -> Bundle:
+    """Return the bundle with a record of what its masks hide.
+
+    Args:
+        bundle: bundle of a fit.
+        source: data set of the fit.
+        change: way in which its images are shown.
+    """
+    generator = torch.Generator().manual_seed(0)
+
+    def shown(images: Images) -> Images:
+        few = images.take(torch.randperm(len(images), generator=generator)[:_SHOWN])
+        scenes = change(few.scenes(), generator)
+        scenes = torch.nn.functional.adaptive_avg_pool2d(scenes, bundle.scene.shape)
+        return replace(few, pixels=(255 * scenes).round().to(torch.uint8))
+
+    return replace(bundle, hiding=measure(bundle, shown(source.training()), shown(source.test())))
 
 
 def _of_fresh(

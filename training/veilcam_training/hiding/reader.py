@@ -1,0 +1,105 @@
+"""Reader that knows the task and no mask: a small network that is trained behind other masks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_training.data import Images
+from veilcam_training.hiding.machine import power_spectra
+from veilcam_training.hiding.masks import other_mask
+from veilcam_training.hiding.pinholes import Measurer
+
+Values = npt.NDArray[Any]
+
+FEW = 64
+"""Pixels up to which measurements are read as they are; spectra tell more of larger ones."""
+_MASKS = 300
+_SCENES = 200
+"""Scenes behind each mask of the training."""
+_EPOCHS = 5
+_BATCH = 256
+_HIDDEN = 512
+
+
+class Reader:
+    """Reader of labels from one measurement.
+
+    Args:
+        camera: camera whose masks are in question.
+        embedding: shape of the embedding.
+        measure: measurements of that camera.
+        images: training images.
+        labels: number of labels.
+    """
+
+    def __init__(
+        self, camera: Camera, embedding: Embedding, measure: Measurer, images: Images, labels: int
+    ) -> None:
+        self._embedding = embedding
+        random = np.random.default_rng(3)
+        inputs, wanted = [], []
+        # Few images are soon learned by heart.
+        for _ in range(min(_MASKS, 1 + len(images) // 20)):
+            chosen = torch.from_numpy(random.integers(len(images), size=_SCENES))
+            values = measure(scenes_of(images, chosen), other_mask(camera.mask_shape, random))
+            inputs.append(self._inputs(values))
+            wanted.append(images.labels[chosen])
+        self._network = _train(torch.cat(inputs), torch.cat(wanted), labels)
+
+    @torch.no_grad()
+    def read(self, measurements: Values, labels: Tensor) -> float:
+        """Return the share of labels that are read right.
+
+        Args:
+            measurements: (count, channels * pixels).
+            labels: int64 (count,).
+        """
+        found = self._network(self._inputs(measurements)).argmax(1)
+        return float((found == labels).float().mean())
+
+    def _inputs(self, measurements: Values) -> Tensor:
+        if self._embedding.size > FEW:
+            return torch.from_numpy(power_spectra(measurements, self._embedding))
+        values = torch.from_numpy(measurements)
+        values = values - values.mean(1, keepdim=True)
+        values = values / values.std(1, keepdim=True).clamp_min(1e-12)
+        return torch.cat([values, values.square() - 1], 1)
+
+
+def scenes_of(images: Images, chosen: Tensor | slice) -> Values:
+    """Return images as scenes, float32 (count, channels, rows, columns)."""
+    scenes: Values = images.scenes(chosen).numpy()
+    return scenes if scenes.ndim == 4 else scenes[:, None]
+
+
+def _train(inputs: Tensor, labels: Tensor, classes: int) -> nn.Module:
+    """Return a perceptron fitted to inputs (count, numbers) and labels (count,)."""
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(3)
+        network = nn.Sequential(
+            nn.BatchNorm1d(inputs.shape[1]),
+            *_layer(inputs.shape[1], _HIDDEN),
+            *_layer(_HIDDEN, _HIDDEN // 2),
+            nn.Linear(_HIDDEN // 2, classes),
+        )
+        steps = _EPOCHS * (len(inputs) // _BATCH + 1)
+        adam = torch.optim.Adam(network.parameters(), 2e-3)
+        rates = torch.optim.lr_scheduler.OneCycleLR(adam, 3e-3, total_steps=steps)
+        for _ in range(_EPOCHS):
+            for batch in torch.randperm(len(inputs)).split(_BATCH):
+                loss = nn.functional.cross_entropy(network(inputs[batch]), labels[batch])
+                adam.zero_grad()
+                loss.backward()
+                adam.step()
+                rates.step()
+    return network.eval()
+
+
+def _layer(inputs: int, outputs: int) -> tuple[nn.Module, ...]:
+    return nn.Linear(inputs, outputs), nn.BatchNorm1d(outputs), nn.GELU()
