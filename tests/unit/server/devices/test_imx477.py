@@ -42,6 +42,7 @@ class Bench:
     def __init__(
         self,
         *,
+        shape: tuple[int, ...] = SHAPE,
         mode: SensorMode = MODE,
         exposures: ExposureRange = FIXED,
         full_scale: float = 1.0,
@@ -55,7 +56,7 @@ class Bench:
         start = partial(
             IMX477,
             self.open,
-            shape=SHAPE,
+            shape=shape,
             mode=mode,
             exposures=exposures,
             full_scale=full_scale,
@@ -95,6 +96,18 @@ def test_pixels_are_averaged_where_they_are() -> None:
     bench.cameras[0]._light = lambda *_: frame
     mean = area_average(torch.from_numpy(frame.astype(float)), *SHAPE).numpy()
     np.testing.assert_allclose(bench.capture().embedding, (mean - 256) / (4095 - 256), rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_channels_are_told_apart_as_the_format_lays_them_out(order: str) -> None:
+    bench = Bench(shape=(3, *SHAPE), faults=CameraFaults(format=f"S{order}12"))
+    levels = {"R": 300, "G": 600, "B": 900}
+    quad = np.array([levels[colour] + 256 for colour in order], np.uint16).reshape(2, 2)
+    bench.cameras[0]._light = lambda *_: np.tile(quad, (30, 41))
+    seen = bench.capture().embedding
+    assert seen.shape == (3, *SHAPE)
+    for channel, level in zip(seen, levels.values(), strict=True):
+        np.testing.assert_allclose(channel, level / (4095 - 256), rtol=1e-6)
 
 
 def test_light_of_a_frame_is_its_mean_at_the_exposure_to_begin_with() -> None:
