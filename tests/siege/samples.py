@@ -16,11 +16,11 @@ from veilcam_training.bundle import Bundle, Fresh, Pair, write_bundle
 from veilcam_training.bundle.layers import (
     GELU,
     Affine,
-    AveragePool,
     BatchNorm,
     Conv2d,
     Dropout,
     Flatten,
+    GlobalMaxPool,
     LayerNorm,
     LayerRecord,
     Linear,
@@ -41,12 +41,12 @@ FLAT: tuple[LayerRecord, ...] = (
 DEEP: tuple[LayerRecord, ...] = (
     *(Reshape(shape=(1, 4, 5)), Resize(rows=8, columns=8), Conv2d(inputs=1, outputs=4)),
     Residual(layers=(Conv2d(inputs=4, outputs=4), BatchNorm(features=4, dimensions=2), ReLU())),
-    *(MaxPool(), AveragePool(rows=2, columns=2), Flatten(), Linear(inputs=16, outputs=10)),
+    *(MaxPool(), GlobalMaxPool(), Linear(inputs=4, outputs=10)),
 )
 LINEAR = (Linear(inputs=20, outputs=10),)
 POOLED: tuple[LayerRecord, ...] = (
-    *(Reshape(shape=(2, *SCENE.shape)), AveragePool(rows=4, columns=4), Flatten()),
-    Linear(inputs=32, outputs=10),
+    *(Reshape(shape=(1, *SCENE.shape)), MaxPool(kernel=7), Flatten()),
+    Linear(inputs=16, outputs=10),
 )
 PAIRS = 3
 

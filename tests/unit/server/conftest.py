@@ -109,8 +109,8 @@ def make_fresh_bundle() -> Bundle:
     """A random small CNN, and statistics of the first digits of the sample that comes along."""
     scene = Scene()
     layers: tuple[LayerRecord, ...] = (
-        Reshape(shape=(2, *scene.shape)),
-        Conv2d(inputs=2, outputs=3),
+        Reshape(shape=(1, *scene.shape)),
+        Conv2d(inputs=1, outputs=3),
         BatchNorm(features=3, dimensions=2),
         ReLU(),
         MaxPool(kernel=4),

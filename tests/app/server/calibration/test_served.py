@@ -56,7 +56,6 @@ def nearest_template() -> Bundle:
             distribution=MaskDistribution.uniform(GEOMETRY.camera),
             statistics=fit_statistics([seen], pixels),
             noise=MeasurementNoise(40.0),
-            features=("estimate",),
             layers=(Linear(inputs=pixels, outputs=CLASSES),),
             weights={"0.weight": 20 * templates, "0.bias": -10 * np.square(templates).sum(axis=1)},
         ),

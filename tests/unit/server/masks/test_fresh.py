@@ -78,7 +78,7 @@ def test_mask_is_its_key_s_and_its_reader_the_mask_s(fresh_bundle: Bundle) -> No
         assert mask.mark == ""
         decoder = decoder_of(fresh_bundle, mask.levels)
         measurement = a_measurement(fresh_bundle, mask.levels)
-        inputs = classifier_inputs(decoder, torch.from_numpy(measurement)[None], fresh.features)
+        inputs = classifier_inputs(decoder, torch.from_numpy(measurement)[None])
         expected = network(inputs.float()).double().softmax(dim=1)[0]
         verdict = mask.reader.classify(measurement)
         assert verdict.scores is not None
@@ -118,8 +118,8 @@ def test_logits_are_the_mean_over_a_scene_and_its_neighbours(fresh_bundle: Bundl
     network = build_classifier(fresh.layers, fresh.weights)
     measurement = a_measurement(fresh_bundle, mask.levels)
     decoder = decoder_of(fresh_bundle, mask.levels)
-    inputs = classifier_inputs(decoder, torch.from_numpy(measurement)[None], fresh.features)
-    images = inputs.reshape(2, *fresh_bundle.scene.shape).float().numpy()
+    inputs = classifier_inputs(decoder, torch.from_numpy(measurement)[None])
+    images = inputs.reshape(1, *fresh_bundle.scene.shape).float().numpy()
     expected = []
     for down, across in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
         framed = np.pad(images, ((0, 0), (1, 1), (1, 1)), mode="edge")

@@ -47,11 +47,12 @@ PIXELS = 42
 RANK = 8
 
 
-def make_fresh(**changes: Any) -> Fresh:
+def make_fresh(channels: int = 1, **changes: Any) -> Fresh:
+    values = channels * PIXELS
     generator = torch.Generator().manual_seed(3)
     layers: tuple[LayerRecord, ...] = (
-        Reshape(shape=(2, 6, 7)),
-        Conv2d(inputs=2, outputs=3),
+        Reshape(shape=(channels, 6, 7)),
+        Conv2d(inputs=channels, outputs=3),
         BatchNorm(features=3, dimensions=2),
         ReLU(),
         Flatten(),
@@ -64,9 +65,9 @@ def make_fresh(**changes: Any) -> Fresh:
     given: dict[str, Any] = {
         "distribution": MaskDistribution.power(CAMERA, 2.0),
         "statistics": SceneStatistics(
-            torch.rand(PIXELS, generator=generator),
-            torch.randn(PIXELS, RANK, generator=generator),
-            torch.rand(PIXELS, generator=generator),
+            torch.rand(values, generator=generator),
+            torch.randn(values, RANK, generator=generator),
+            torch.rand(values, generator=generator),
         ).in_numpy(),
         "noise": MeasurementNoise(35.0, 0.01),
         "layers": layers,
@@ -76,15 +77,16 @@ def make_fresh(**changes: Any) -> Fresh:
     return Fresh(**{**given, **changes})
 
 
-def make_bundle(**changes: Any) -> Bundle:
+def make_bundle(channels: int = 1) -> Bundle:
     return Bundle(
         task="shapes",
         labels=("a", "b", "c", "d"),
         camera=CAMERA,
         scene=SCENE,
         embedding=EMBEDDING,
+        channels=channels,
         mode="fresh",
-        fresh=make_fresh(**changes),
+        fresh=make_fresh(channels),
     )
 
 
@@ -95,12 +97,15 @@ def path(tmp_path: Path) -> Path:
     return result
 
 
-def test_fresh_bundle_comes_back_as_it_was_written(path: Path) -> None:
-    written, read = make_fresh(), read_bundle(path)
-    assert (read.mode, read.pairs, read.inputs) == ("fresh", (), 2 * PIXELS)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_fresh_bundle_comes_back_as_it_was_written(path: Path, channels: int) -> None:
+    write_bundle(path, make_bundle(channels))
+    written, read = make_fresh(channels), read_bundle(path)
+    assert (read.mode, read.pairs, read.channels) == ("fresh", (), channels)
+    assert read.inputs == channels * PIXELS
     fresh = read.fresh
     assert fresh is not None
-    for name in ("noise", "layers", "reach", "features", "inputs"):
+    for name in ("noise", "layers", "reach", "inputs"):
         assert getattr(fresh, name) == getattr(written, name)
     for name in ("lowest", "highest", "curve"):
         np.testing.assert_array_equal(
@@ -131,8 +136,12 @@ def test_same_bundle_gives_the_same_bytes_and_shows_no_secrets(path: Path) -> No
     refuse(path, "mode 'fresh' has the parts")
 
 
-def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -> None:
-    key, written, read = bytes(range(32)), make_bundle(), read_bundle(path)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_masks_and_labels_are_those_of_the_bundle_that_was_written(
+    path: Path, channels: int
+) -> None:
+    write_bundle(path, make_bundle(channels))
+    key, written, read = bytes(range(32)), make_bundle(channels), read_bundle(path)
     answers = []
     for bundle in (written, read):
         fresh = bundle.fresh
@@ -142,31 +151,15 @@ def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -
         decoder = frame.decoding().prepare(
             torch.from_numpy(to_weights(levels, bundle.camera.panel))
         )
-        measurements = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
-        inputs = classifier_inputs(decoder, measurements, fresh.features)
-        assert inputs.shape == (3, fresh.inputs)
+        shape = (3,) * (channels > 1) + bundle.embedding.shape
+        measurements = torch.rand(2, *shape, generator=torch.Generator())
+        inputs = classifier_inputs(decoder, measurements)
+        assert inputs.shape == (2, fresh.inputs)
+        assert torch.equal(inputs, decoder(measurements).flatten(1))
         answers.append(build_classifier(fresh.layers, fresh.weights)(inputs))
     # Not to the bit: statistics that were read lie in memory as they lie in the file, and some
     # processors' products round by that. A decoder's products in float32 are good to 1e-4.
     torch.testing.assert_close(*answers, rtol=0, atol=1e-3 * float(answers[0].abs().max()))
-
-
-def test_features_choose_what_the_classifier_is_given() -> None:
-    both, estimate = make_fresh(), make_fresh(features=("estimate",))
-    turned = make_fresh(features=("deviation", "estimate"))
-    frame = both.frame(CAMERA, SCENE, EMBEDDING).in_torch()
-    decoder = frame.decoding().prepare(torch.rand(CAMERA.mask_shape))
-    measurements = torch.rand(2, EMBEDDING.size)
-    inputs = classifier_inputs(decoder, measurements, both.features)
-    assert torch.equal(inputs[:, :PIXELS], decoder(measurements).flatten(1))
-    assert torch.equal(inputs[0, PIXELS:], decoder.deviation.flatten())
-    assert torch.equal(
-        classifier_inputs(decoder, measurements, estimate.features), inputs[:, :PIXELS]
-    )
-    assert torch.equal(
-        classifier_inputs(decoder, measurements, turned.features), inputs.roll(PIXELS, dims=1)
-    )
-    assert estimate.inputs == PIXELS
 
 
 def test_bundle_that_comes_with_the_package_is_read_as_it_is() -> None:
@@ -197,7 +190,7 @@ def test_tampered_part(path: Path, name: str) -> None:
         (
             "scene_stats",
             lambda t: t.update({name: tensor[:-1] for name, tensor in t.items()}),
-            "of 41 pixels: use 42",
+            "of 41 values: use 42",
         ),
         ("masks", lambda t: t.update(lowest=t["highest"] + 1), "lowest exceeds highest"),
         ("masks", lambda t: t.update(curve=t["curve"][:-1]), "exceeds its 63 levels"),
@@ -228,15 +221,12 @@ def test_tensors_that_are_refused(
         (lambda m: m["fresh"].update(secret="00"), "fresh.secret"),
         (lambda m: m["fresh"]["noise"].update(snr_db=float("inf")), "JSON"),
         (lambda m: m["fresh"]["noise"].update(model_error=-1.0), "model_error"),
-        (lambda m: m["fresh"].update(features=["estimate", "image"]), "fresh.features"),
-        (lambda m: m["fresh"].update(features=["estimate", "estimate"]), "use each once"),
-        (lambda m: m["fresh"].update(features=[]), "features"),
-        (lambda m: m["fresh"].update(features=["estimate"]), "layer 0 .reshape. gets shape .42,."),
+        (lambda m: m["fresh"].update(features=["estimate"]), "fresh.features"),
         (lambda m: m["fresh"]["layers"].pop(), "for 4 labels"),
         (lambda m: m.update(fresh=None), "mode 'fresh' has a key policy"),
         (lambda m: m.update(mode="pairs"), "mode 'pairs' has no key policy"),
         (lambda m: m.update(pairs=[{"layers": []}]), "mode 'fresh' has a key policy and no pairs"),
-        (lambda m: m.update(channels=3), "gray embeddings"),
+        (lambda m: m.update(channels=3), "of 42 values: use 126"),
         (lambda m: m["parts"].pop("scene_stats.safetensors"), "lacks the digest"),
     ],
 )

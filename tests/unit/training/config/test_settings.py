@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import RECIPES, TASKS, Recipe, Situation, find_recipe
+from veilcam_training.config.recipes import RECIPES, TASKS, Recipe, Situation, find_recipe, scenes
 from veilcam_training.config.settings import (
     FreshSettings,
     Settings,
@@ -64,12 +64,17 @@ def test_papers_padding_of_cifar10(encoder: str, embedding: str, share: float) -
 
 
 def test_our_recipes() -> None:
-    for classifier in ("LR", "FC800", "MLP64", "CNN16", "VGG11"):
+    for classifier in ("LR", "FC800", "CNN16", "VGG11"):
         short, long = (
             find_recipe(name, Situation(classifier=classifier)) for name in ("default", "long")
         )
         assert (short.epochs, long.epochs) == (15, 50)
         assert short.model_copy(update={"epochs": 50}) == long
+    gray, colour = (
+        find_recipe("default", Situation("cifar10", classifier="Scene32", colour=colour))
+        for colour in (False, True)
+    )
+    assert (gray.optimiser, gray.jitter.mirror, colour.jitter.mirror) == ("nesterov", False, True)
     with pytest.raises(TrainingError, match=f"use one of {', '.join(RECIPES)}"):
         find_recipe("worst", Situation())
 
@@ -199,10 +204,13 @@ def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
 def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     for name in TASKS:
         load_fresh_settings(None, {"task": name})
-    assert load_fresh_settings(None, {}) == FreshSettings()
-    path = write(tmp_path, 'task = "mnist_shift"\nepochs = 3\n[misalignment]\nshift = 0.0\n')
+    assert load_fresh_settings(None, {}) == FreshSettings(recipe=scenes("mnist", colour=False))
+    text = 'task = "mnist_shift"\nrecipe = {epochs = 3}\n[misalignment]\nshift = 0.0\n'
+    path = write(tmp_path, text)
     settings = load_fresh_settings(path, {"seed": 3})
-    assert (settings.placement, settings.epochs, settings.seed) == ("anywhere", 3, 3)
+    assert (settings.placement, settings.recipe.epochs, settings.seed) == ("anywhere", 3, 3)
+    assert (settings.recipe.pooling, settings.recipe.jitter.crop) == (2, 2)
+    assert settings.recipe.batch == scenes("mnist", colour=False).batch
     assert settings.misalignment == Misalignment(shift=0.0, panels=4)
     assert load_fresh_settings(path, {"task": "mnist_6x8"}).spread == 0.25
     none = write(tmp_path, 'task = "mnist_6x8"\nspread = "none"\nmisalignment = "none"')
@@ -217,10 +225,10 @@ def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     [
         ("task = 'mnist'", "task 'mnist' is unknown"),
         ("sede = 3", r"settings\.toml: sede is not valid: Extra"),
-        ("epochs = 0", "epochs is not valid"),
+        ("recipe = {epochs = 0}", "epochs is not valid"),
+        ("recipe = 'best'", "recipe is not valid: use a table"),
         ("misalignment = 3", "misalignment is not valid"),
-        ("masks = 4\nrenewed = 3", r"renewed = 3: use numbers that divide one another"),
-        ("batch = 130", "batch = 130, masks = 4"),
+        ("masks = 0", "masks is not valid"),
         ("epochs = ", "not a TOML file"),
     ],
 )

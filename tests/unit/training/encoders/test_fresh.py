@@ -12,9 +12,10 @@ import torch
 from torch.nn.functional import avg_pool2d
 
 from veilcam_optics.camera.geometry import Camera, Scene, Sensor, Window
+from veilcam_optics.decoding import unknown_share
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_training.bundle.fresh import FEATURES
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import FreshCamera, LearnedRange, Misalignment, pooled
@@ -27,7 +28,8 @@ CAMERA = Camera(window=Window(rows=18, columns=9))
 
 def make_camera(source: Source, **changes: Any) -> FreshCamera:
     """A small camera with fresh masks."""
-    chosen = FreshSettings(embedding="6x8", rank=40, **{"misalignment": None, **changes})
+    recipe = Recipe(rank=40)
+    chosen = FreshSettings(embedding="6x8", recipe=recipe, **{"misalignment": None, **changes})
     training = split(source.training()).training
     statistics = fresh_statistics(chosen, CAMERA, source.scene, training)
     return make_fresh_camera(chosen, CAMERA, source.scene, statistics)
@@ -43,23 +45,16 @@ def test_masks_of_two_purposes_and_of_one_stream_differ(source: Source) -> None:
     assert torch.equal(again.transfer, masks[0].transfer)
 
 
-def test_ring_replaces_its_oldest_masks(source: Source) -> None:
-    camera = make_camera(source, masks=4, renewed=1)
-    first, second = islice(camera.rings("x"), 2)
-    assert second[:3] == first[1:]
-    assert second[3] is not first[3]
-
-
-def test_scenes_are_spread_evenly_over_the_masks(source: Source) -> None:
-    camera, scenes = make_camera(source, masks=4), source.test().scenes(slice(0, 8))
-    (ring,) = islice(camera.rings("x"), 1)
-    camera.coming = camera.rings("x")
-    seen = camera(scenes)
-    for mask, part, measurements in zip(ring, scenes.chunk(4), seen.chunk(4), strict=True):
-        assert torch.equal(mask.embed(part), measurements)
-    assert camera.decode(seen).shape == (8, len(FEATURES) * 784)
-    with pytest.raises(TrainingError, match="6 images cannot be spread evenly over 4 masks"):
-        camera(scenes[:6])
+def test_each_batch_has_the_next_mask(source: Source) -> None:
+    camera, scenes = make_camera(source), source.test().scenes(slice(0, 8))
+    masks = list(islice(camera.masks("x"), 2))
+    camera.coming = camera.one_by_one("x")
+    with pytest.raises(TrainingError, match="no mask is shown yet"):
+        camera.decode(torch.zeros(8, 48))
+    for mask in masks:
+        seen = camera(scenes)
+        assert torch.equal(mask.embed(scenes), seen)
+        assert torch.equal(camera.decode(seen), mask.decoder(seen).flatten(1))
     with pytest.raises(TrainingError, match="whole scenes on one grid"):
         camera(scenes, grid=1)
 
@@ -67,7 +62,7 @@ def test_scenes_are_spread_evenly_over_the_masks(source: Source) -> None:
 def test_wrong_key_is_another_masks(source: Source) -> None:
     camera = make_camera(source)
     masks = list(islice(camera.masks("x"), 4))
-    for index, (mask,) in enumerate(islice(camera.one_by_one("x", wrong_key=True), 2)):
+    for index, mask in enumerate(islice(camera.one_by_one("x", wrong_key=True), 2)):
         assert torch.equal(mask.transfer, masks[2 * index].transfer)
         assert torch.equal(mask.decoder.estimator, masks[2 * index + 1].decoder.estimator)
 
@@ -80,6 +75,27 @@ def test_mask_is_prepared_for_a_nominal_panel_and_shown_by_a_displaced_one(sourc
     error = (exact.transfer - shown.transfer).norm() / exact.transfer.norm()
     assert 1e-5 < float(error) < 0.05
     assert "tensor" not in repr(exact)
+
+
+@pytest.mark.slow
+def test_range_is_learned_without_labels_and_leaves_less_unknown(source: Source) -> None:
+    camera = make_camera(source, spread=0.25, exponent=4.0)
+    known, random = camera.decoding, torch.Generator()
+
+    def unknown() -> float:
+        assert isinstance(camera.source, LearnedRange)
+        random.manual_seed(1)
+        masks = [camera.source(random).detach() for _ in range(10)]
+        shares = [unknown_share(known.operator(m), known.statistics, known.noise) for m in masks]
+        return float(torch.stack(shares).mean())
+
+    before = unknown()
+    camera.learn_range()
+    assert unknown() < 0.9 * before
+    assert not any(parameter.requires_grad for parameter in camera.parameters())
+    again = make_camera(source, spread=0.25, exponent=4.0)
+    again.learn_range()
+    assert np.array_equal(again.distribution.lowest, camera.distribution.lowest)
 
 
 def test_learned_range_and_its_published_distribution_agree() -> None:
@@ -114,9 +130,8 @@ def test_pooling_keeps_the_scene_and_its_size() -> None:
 
 def test_anywhere_is_read_and_decoded_on_the_whole_field(source: Source) -> None:
     small = replace(CAMERA, sensor=Sensor(rows=1700, columns=1550))
-    chosen = FreshSettings(
-        embedding="6x8", placement="anywhere", pooling=4, misalignment=None, rank=30
-    )
+    recipe = Recipe(pooling=4, rank=30)
+    chosen = FreshSettings(embedding="6x8", placement="anywhere", misalignment=None, recipe=recipe)
     statistics = fresh_statistics(chosen, small, source.scene, source.training())
     camera = make_fresh_camera(chosen, small, source.scene, statistics)
     assert camera.setup.scene.shape == (60, 56)
@@ -126,10 +141,10 @@ def test_anywhere_is_read_and_decoded_on_the_whole_field(source: Source) -> None
     generator = torch.Generator().manual_seed(0)
     scenes = Anywhere(source.scene, small, 4)(source.test().scenes(slice(0, 3)), generator)
     inputs = mask.decode(shot_noise(mask.embed(scenes), 40.0, generator))
-    assert inputs.shape == (3, len(FEATURES) * 15 * 14)
+    assert inputs.shape == (3, 15 * 14)
     # The light is found where it is: the estimate's brightest region is the scene's, or one within
     # 5 % of it, as noise of 40 dB and a posterior may turn two that are nearly alike.
-    estimates = inputs[:, : 15 * 14].reshape(3, 1, 15, 14)
+    estimates = inputs.reshape(3, 1, 15, 14)
     seen, true = (avg_pool2d(x, 5).flatten(1) for x in (estimates, avg_pool2d(scenes[:, None], 4)))
     found = true.gather(1, seen.argmax(1, keepdim=True))
     assert bool((found > 0.95 * true.max(1, keepdim=True).values).all())

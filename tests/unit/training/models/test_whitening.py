@@ -78,5 +78,5 @@ def test_plain_copy_acts_the_same() -> None:
 @pytest.mark.parametrize("name", ["LR", "CNN8", "VGG11"])
 def test_whitening_needs_a_hidden_layer_that_takes_all(name: str) -> None:
     task = Task(1, 12, 16, 10, rectified=True, normalisation="white")
-    with pytest.raises(TrainingError, match="use it with FC or MLP"):
+    with pytest.raises(TrainingError, match="use it with FC, not"):
         make_layers(name, task)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from veilcam_training.seeding import stream
-from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
+from veilcam_training.transforms.augmentation import Augmentation
 
 
 def spot(row: int, column: int, count: int = 3000) -> torch.Tensor:
@@ -57,31 +57,14 @@ def test_colours_move_together() -> None:
     torch.testing.assert_close(colour, expected[:, None].expand(5, 3, 12, 12))
 
 
-@pytest.mark.parametrize("name", ["rotation", "scale", "shear", "shift"])
-def test_sheared_one_moves_by_the_amount_asked_for(name: str) -> None:
-    none: dict[str, Any] = {"rotation": 0.0, "scale": 0.0, "shear": 0.0, "shift": 0.0}
-    images = torch.zeros(50, 21, 21)
-    images[:, 8:13, 5:16] = 1
-    same = ShearedAugmentation(**none)(images, stream(0, "augmentation"))
-    assert torch.allclose(same, images, atol=1e-5)
-    amounts = {"rotation": 20.0, "scale": 0.2, "shear": 0.3, "shift": 2.0}
-    little, much = (
-        ShearedAugmentation(**{**none, name: share * amounts[name]})(
-            images, stream(0, "augmentation")
-        )
-        for share in (0.3, 1.0)
-    )
-    changes = [float((moved - images).abs().mean()) for moved in (little, much)]
-    assert 0 < changes[0] < changes[1]
-    assert float(much.min()) >= 0
-    assert float(much.max()) <= 1 + 1e-6
-
-
-def test_sheared_one_mirrors_half_of_the_images() -> None:
-    images = torch.zeros(200, 9, 9)
-    images[:, :, :3] = 1
-    still = ShearedAugmentation(rotation=0, scale=0, shear=0, shift=0, mirror=True)
-    moved = still(images, stream(0, "augmentation"))
-    mirrored = (moved[:, 4, 8] > 0.5).float().mean()
-    assert 0.35 < float(mirrored) < 0.65
-    assert torch.allclose(moved.sum((1, 2)), images.sum((1, 2)), rtol=1e-4)
+def test_crop_moves_by_whole_pixels() -> None:
+    images = torch.rand(400, 3, 9, 11, generator=stream(0, "images"))
+    moved = Augmentation(crop=2)(images, stream(0, "crop"))
+    framed = torch.nn.functional.pad(images, (2,) * 4, "reflect")
+    found = set()
+    for image, frame in zip(moved, framed, strict=True):
+        places = [(y, x) for y in range(5) for x in range(5)]
+        found |= {p for p in places if torch.equal(image, frame[:, p[0] :, p[1] :][:, :9, :11])}
+    assert len(found) == 25
+    gray = Augmentation(crop=2)(images[:, 0], stream(0, "crop"))
+    assert torch.equal(gray, moved[:, 0])
