@@ -19,6 +19,7 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.check import check
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.bundle import Accuracy, LightPlan, TransferError
+from veilcam_training.bundle.hiding import LEAST_PINHOLE, MARGIN
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
 from veilcam_training.encoders import LearnedMask, Mask, Setup
@@ -32,11 +33,15 @@ from veilcam_training.experiments.model import (
     prepare,
 )
 from veilcam_training.files import read_private, write_private
+from veilcam_training.hiding.eye import SCENES, Eye
+from veilcam_training.hiding.reader import scenes_of
+from veilcam_training.hiding.scenes import GROUP
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.evaluation import evaluate
 from veilcam_training.trainer.loop import Fit, fit
+from veilcam_training.transforms.scene import Identity
 
 WRONG_KEY_IMAGES = 1000
 """Test images that are decoded with another key: enough to tell that accuracy is at chance."""
@@ -121,11 +126,17 @@ def run_fit(
         TrainingError: settings or data that cannot be used.
     """
     parts, test = _read(source, device, training)
-    for attempt, least in enumerate(COPIES if settings.recipe.hidden else (0.0,)):
-        model = make_model(settings, source, camera).to(device)
+    model = make_model(settings, source, camera).to(device)
+    eye = _eye(model, parts.validation) if settings.recipe.hidden else None
+    for attempt, least in enumerate((0.0,) if eye is None else COPIES):
+        if attempt:
+            model = make_model(settings, source, camera).to(device)
         if isinstance(model.encoder, LearnedMask):
             model.encoder.hide(least)
         prepare(model, settings, parts.training)
+        again = attempt + 1 < len(COPIES)
+        if again and model.measures_once and not settings.recipe.end_to_end and _seen(eye, model):
+            continue  # what is learned from now on is the classifier alone
         fitted = _in_stages(
             model,
             parts,
@@ -134,7 +145,8 @@ def run_fit(
             fingerprint=settings.fingerprint(source),
             callbacks=callbacks,
         )
-        break
+        if not (again and _seen(eye, model)):
+            break
     result = evaluate(fitted.model, test, settings.seed, "test")
     return FitResult(
         settings,
@@ -142,6 +154,30 @@ def run_fit(
         Accuracy(result.accuracy, f"{source.name} test", len(test)),
         result.predictions,
     )
+
+
+def _eye(model: LenslessClassifier, images: Images) -> Eye | None:
+    """Return an eye that looks for images; None where a mask has no bound.
+
+    That is where the encoder learns no mask, where images are few or are shown at random places,
+    and where an eye does not find what one pinhole shows.
+    """
+    setup = model.encoder.setup
+    learns = isinstance(model.encoder, LearnedMask) and isinstance(model.change, Identity)
+    if not learns or len(images) < GROUP:
+        return None
+    scenes = scenes_of(images, slice(0, min(len(images) // GROUP, SCENES // GROUP) * GROUP))
+    eye = Eye(setup.camera, setup.scene, setup.embedding, setup.channels, scenes)
+    return eye if eye.pinhole >= LEAST_PINHOLE else None
+
+
+def _seen(eye: Eye | None, model: LenslessClassifier) -> bool:
+    """Return whether an eye sees more behind a mask than a fit allows itself."""
+    encoder = model.encoder
+    if eye is None or not isinstance(encoder, LearnedMask):
+        return False
+    weights = to_weights(encoder.levels(), encoder.setup.camera.panel)
+    return eye.seen(weights) > eye.random + MARGIN / 2
 
 
 def _in_stages(
