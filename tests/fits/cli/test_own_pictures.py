@@ -26,16 +26,16 @@ def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> Non
     said = call("draw", shapes, "--count", 50, "--seed", 3).replace("\n", "")
     assert f"into {shapes}/train" in said
     printed = call("fit", "--data", shapes, *QUICK, "--out", out)
-    assert "image-folder: 64 x 64, gray" in printed
-    assert "FC800" in printed
-    assert "star" in printed[: printed.index("FC800")]  # before the fit
+    assert "image-folder: 32 x 32, gray" in printed
+    assert "Scene32" in printed
+    assert "star" in printed[: printed.index("Scene32")]  # before the fit
     bundle = read_bundle(out)
     assert bundle.task == "image-folder"
     assert bundle.labels == ("circle", "cross", "square", "star", "triangle")
-    assert bundle.scene.shape == (64, 64)
+    assert bundle.scene.shape == (32, 32)
     settings = bundle.provenance["settings"]
     assert isinstance(settings, dict)
-    assert settings["classifier"] == "FC800"
+    assert settings["classifier"] == "Scene32"
     # What is named goes before what was found.
     assert "LR" in call("fit", "--data", shapes, *QUICK, "--classifier", "LR")
     assert "is missing" in call("fit", "--data", shapes, *QUICK, "--dataset", "mnist", code=1)
@@ -48,8 +48,8 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
     config.write_text(
-        'embedding = "6x8"\nclassifier = "CNN2"\nrank = 9\nvalidation_masks = 4\n'
-        "[misalignment]\npanels = 2"
+        'embedding = "6x8"\nclassifier = "Scene2"\nvalidation_masks = 4\nmasks = 4\n'
+        "[misalignment]\npanels = 2\n[recipe]\nrank = 9"
     )
     options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
     call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out)

@@ -43,8 +43,8 @@ def coloured() -> Bundle:
         layers=(Linear(inputs=18, outputs=3),),
         weights={"0.weight": means, "0.bias": np.zeros(3, np.float32)},
     )
-    known = ("rgb", ("red", "green", "blue"), CAMERA, SCENE, EMBEDDING, "fresh")
-    return Bundle(*known, fresh=fresh, channels=3, digest="b0" * 32)
+    known = ("rgb", ("red", "green", "blue"), CAMERA, SCENE, EMBEDDING)
+    return Bundle(*known, mode="fresh", fresh=fresh, channels=3, digest="b0" * 32)
 
 
 def test_reader_in_colour_tells_colours_apart_behind_every_mask(coloured: Bundle) -> None:
