@@ -21,16 +21,15 @@ def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> Non
     said = call("draw", shapes, "--count", 50, "--seed", 3).replace("\n", "")
     assert f"into {shapes}/train" in said
     printed = call("fit", "--data", shapes, *QUICK, "--out", out)
-    assert "image-folder: 64 x 64, gray" in printed
-    assert "FC800" in printed
-    assert "star" in printed[: printed.index("FC800")]  # before the fit
+    assert "image-folder: 32 x 32, gray" in printed
+    assert "star" in printed[: printed.index("Scene32")]  # before the fit
     bundle = read_bundle(out)
     assert bundle.task == "image-folder"
     assert bundle.labels == ("circle", "cross", "square", "star", "triangle")
-    assert bundle.scene.shape == (64, 64)
+    assert bundle.scene.shape == (32, 32)
     settings = bundle.provenance["settings"]
     assert isinstance(settings, dict)
-    assert settings["classifier"] == "FC800"
+    assert settings["classifier"] == "Scene32"
     # What is named goes before what was found.
     assert "LR" in call("fit", "--data", shapes, *QUICK, "--classifier", "LR")
     assert "is missing" in call("fit", "--data", shapes, *QUICK, "--dataset", "mnist", code=1)
@@ -43,8 +42,8 @@ def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
     config.write_text(
-        'embedding = "6x8"\nclassifier = "CNN2"\nrank = 9\nvalidation_masks = 4\n'
-        "[misalignment]\npanels = 2"
+        'embedding = "6x8"\nclassifier = "Scene2"\nmasks = 4\nvalidation_masks = 4\n'
+        "recipe = {rank = 9}\nmisalignment = {panels = 2}"
     )
     options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
     call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out)
@@ -62,22 +61,19 @@ def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
 
 
 @pytest.mark.thorough
-def test_colour_is_left_out_unless_a_classifier_is_named(call: Call, tmp_path: Path) -> None:
+def test_pictures_in_colour_are_fitted_in_colour(call: Call, tmp_path: Path) -> None:
     data, out = draw(tmp_path / "data", "cat", "dog", shape=(12, 16, 3)), tmp_path / "a.veilcam"
-    assert "classifier LR would be fitted in colour" in call(
-        "fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out, code=1
-    )
-    config = tmp_path / "a.toml"
-    config.write_text('classifier = "LR"')
-    assert "classifier LR would be fitted in colour" in call(
-        "fit", "--data", data, *QUICK, "--config", config, "--out", out, code=1
-    )
-    assert "they are fitted in gray" in call("fit", "--data", data, *QUICK, "--out", out)
-    assert read_bundle(out).channels == 1
-    assert "they are fitted in gray" in call(
-        "keyring", "--data", data, *QUICK, "--pairs", 2, "--out", out
-    )
-    assert read_bundle(out).channels == 1
+    options = ("--classifier", "Scene2", "--allow-visible", "--out", out)
+    for command in (("fit", "--end-to-end"), ("keyring", "--pairs", 2)):
+        call(*command, "--data", data, *QUICK, *options)
+        bundle = read_bundle(out)
+        assert bundle.channels == 3
+        settings = bundle.provenance["settings"]
+        assert isinstance(settings, dict)
+        recipe = settings["recipe"]
+        assert isinstance(recipe, dict)
+        assert (recipe["hidden"], recipe["end_to_end"]) == (False, "--end-to-end" in command)
+        assert recipe["jitter"]["mirror"] is True  # type: ignore[index, call-overload]
 
 
 @pytest.mark.thorough
