@@ -95,7 +95,7 @@ def test_as_layers_it_gives_the_same(rank: int, pooling: int, count: int, *, col
     assert [(each.inputs, each.outputs) for each in estimate.layers] == [
         (each.in_features, each.out_features) for each in layers
     ]
-    assert len(layers) == (2 if colour else count)
+    assert len(layers) == count
     assert close(torch.nn.Sequential(*layers)(measurements), estimate(measurements))
 
 
