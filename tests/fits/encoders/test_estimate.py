@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tests.unit.training.conftest import write_cifar10
+from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.camera.masks import random_mask
@@ -116,8 +116,8 @@ def test_learned_mask_leaves_less_unknown_than_any_at_random(*, colour: bool) ->
     left = estimate_of(encoder).learn_mask()
     # What it says is what the panel's levels leave: training lifts closed sub-pixels by 0.3 levels.
     assert left == pytest.approx(unknown(encoder), rel=0.05)
-    # Of such scenes, white noise, nobody sees much.
-    assert left < 0.98 * min(before)
+    # Of such scenes, white noise, nobody sees much. It is 2 or 3 %, and random masks differ by 1 %.
+    assert left < 0.985 * min(before)
     (weights,) = encoder.parameters()
     assert weights.grad is None
     with pytest.raises(TrainingError, match="learns no mask"):
@@ -182,7 +182,12 @@ def settings(**changes: Any) -> Settings:
 def data(request: pytest.FixtureRequest, source: Source, tmp_path: Path) -> Source:
     if not request.param:
         return source
-    return open_source("cifar10", write_cifar10(tmp_path / "cifar", 40))
+    for name in ("cat", "dog"):
+        (tmp_path / name).mkdir()
+        for number in range(60):
+            pixels = np.random.default_rng(number).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+            Image.fromarray(pixels).save(tmp_path / name / f"{number}.png")
+    return open_source("image-folder", tmp_path)
 
 
 @pytest.mark.slow
