@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
@@ -124,7 +125,8 @@ class Fewer:
 
 def interval(values: Sequence[float]) -> float:
     """Half of a 95 % interval of the mean of 2 to 10 values."""
-    return STUDENT[len(values) - 2] * statistics.stdev(values) / len(values) ** 0.5
+    half: float = STUDENT[len(values) - 2] * statistics.stdev(values) / len(values) ** 0.5
+    return half
 
 
 def fitted(cell: Cell, source: Source, seed: int, done: Path) -> dict[str, float]:
@@ -167,7 +169,7 @@ def times_of_reading(scene: Scene, embedding: Embedding, rank: int) -> dict[str,
     random = np.random.default_rng(0)
     seen = random.random((1, inputs), np.float32)
     # The time does not depend on what is known of scenes.
-    known = SceneStatistics(
+    known: SceneStatistics[npt.NDArray[Any]] = SceneStatistics(
         random.random(values, np.float32),
         random.standard_normal((values, rank), np.float32) / rank,
         random.random(values, np.float32) / 100,

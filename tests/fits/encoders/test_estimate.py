@@ -128,16 +128,17 @@ def test_learned_mask_leaves_less_unknown_than_any_at_random(*, colour: bool) ->
 def test_hidden_mask_keeps_its_copies() -> None:
     """Of a window as large as the camera's; less is left unknown than behind a random one."""
     setup = Setup(Camera(), SCENE, Embedding(6, 8))
-    random, hidden, visible = (make_encoder("learned", setup, stream(1, "")) for _ in range(3))
+    random_one, hidden, visible = (make_encoder("learned", setup, stream(1, "")) for _ in range(3))
     copies, share = Copies(setup.camera, setup.scene, colour=False), 0.95
     assert isinstance(hidden, LearnedMask)
     hidden.hide(share)
     for encoder in (hidden, visible):
+        assert isinstance(encoder, LearnedMask)
         estimate_of(encoder.train()).learn_mask()
     counts = [float(copies.count(e.weights.detach()) / copies.random) for e in (hidden, visible)]
     # A penalty bends and does not break: it gives way by a few parts in a hundred.
     assert counts[1] < 0.8 * share < 0.9 * share < counts[0]
-    assert unknown(visible) < unknown(hidden) < unknown(random)
+    assert unknown(visible) < unknown(hidden) < unknown(random_one)
 
 
 def test_copies_are_counted() -> None:
