@@ -101,7 +101,7 @@ class Comparison:
             found = np.stack([mask.reader.whiten(one).ravel() for one in seen.numpy()])
             self.white = max(self.white, float(np.abs(found - wanted).max()))
             labels = [mask.reader.classify(one).label for one in seen.numpy()]
-            logits = network(classifier_inputs(decoder, seen, fresh.features).float())
+            logits = network(classifier_inputs(decoder, seen).float())
             self.add([bundle.labels.index(label) for label in labels], logits.argmax(1))
 
     def pairs(self, bundle: Bundle) -> None:

@@ -183,7 +183,8 @@ def _psfs(given: Sequence[str]) -> dict[str, Path]:
 def _settings(
     place: Place, seed: int, psfs: Mapping[str, Path], recipe: str, epochs: int | None
 ) -> Settings:
-    chosen: dict[str, object] = {"base": recipe}
+    # As the paper's masks, which have no bound.
+    chosen: dict[str, object] = {"base": recipe, "hidden": False}
     if epochs is not None:
         chosen["epochs"] = epochs
     values: dict[str, object] = {

@@ -32,7 +32,7 @@ from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.bundle import LayerRecord, classifier_inputs, read_bundle, write_bundle
 from veilcam_training.bundle.layers import Conv2d, Linear, Residual
 from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import FreshSettings, load_fresh_settings
+from veilcam_training.config.settings import load_fresh_settings
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.experiments.fit import run_fresh
 from veilcam_training.experiments.keyring import as_fresh_bundle
@@ -46,6 +46,8 @@ from veilcam_training.trainer.loop import fit
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
+STILL = {"rotation": 0.0, "scale": 0.0, "crop": 0}
+"""Of what is not a picture."""
 Data = Annotated[Path, typer.Option(help="Folder that holds the data set's files.")]
 
 
@@ -78,8 +80,10 @@ def accuracy(
     figures: FiguresOption = None,
 ) -> None:
     """Fit one classifier for all masks and test it once, on masks that it has never seen."""
-    settings, camera = load_fresh_settings(None, {"task": task}), Camera()
+    camera, chosen = Camera(), {"task": task}
+    settings = load_fresh_settings(None, chosen)
     source = open_source(settings.data, data)
+    settings = load_fresh_settings(None, chosen, colour=source.colour)
     with make_progress(Console()) as progress:
         result = run_fresh(
             settings,
@@ -87,7 +91,7 @@ def accuracy(
             camera,
             masks=masks,
             work=work,
-            callbacks=[FitProgress(progress, task, settings.epochs), Log()],
+            callbacks=[FitProgress(progress, task, settings.recipe.epochs), Log()],
         )
     percent = 100 * result.accuracy.value
     print(
@@ -124,7 +128,7 @@ def timing(*, data: Data, rounds: int = 30, figures: FiguresOption = None) -> No
             lambda measurement: classifier(classifier_inputs(decoder, measurement[None])),
             measurements,
         )
-    macs = _multiplications(model.layers, 2 * fresh.frame.statistics.pixels)
+    macs = _multiplications(model.layers, fresh.frame.statistics.pixels)
     print(
         f"prepare {prepare:.1f} ms, decode and classify {classify:.2f} ms, {macs / 1e6:.1f} M MACs"
     )
@@ -191,7 +195,7 @@ def keyless(
 ) -> None:
     """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
     settings = load_fresh_settings(
-        None, {"exponent": exponent, "epochs": epochs, "augmentation": None}
+        None, {"exponent": exponent, "recipe": {"epochs": epochs, "jitter": STILL}}
     )
     source, camera = open_source(settings.data, data), Camera()
     parts = split(source.training())
@@ -199,16 +203,16 @@ def keyless(
     known = fresh_statistics(settings, camera, source.scene, parts.training)
     keyed = make_fresh_camera(settings, camera, source.scene, known)
     attacked = KeylessCamera(keyed, ReleaseForm(form))
-    task = SceneTask(1, *attacked.setup.embedding.shape, 10, centred=True)
-    layers = make_layers("CNN32", task, dropout=0.2)
+    task = SceneTask(1, *attacked.setup.embedding.shape, 10)
+    layers = make_layers(settings.classifier, task)
     with seeded(settings.seed, "classifier"):
-        model = FreshClassifier(attacked, layers, mixed_precision=settings.bfloat16)
+        model = FreshClassifier(attacked, layers)
     result = fit(
         model,
         parts,
-        settings,
+        settings.recipe,
         settings.seed,
-        masks=settings.validation_masks,
+        masks=(settings.masks, settings.validation_masks),
         callbacks=[Log()],
     )
     percent = 100 * result.best.validation_accuracy
@@ -312,7 +316,7 @@ def dials(
 
 def _model(data: Path) -> tuple[FreshClassifier, Images]:
     """The model of task mnist_24x32, not fitted, and validation images to show it."""
-    settings, camera = FreshSettings(), Camera()
+    settings, camera = load_fresh_settings(None, {}), Camera()
     source = open_source(settings.data, data)
     images = split(source.training())
     known = fresh_statistics(settings, camera, source.scene, images.training)

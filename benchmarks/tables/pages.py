@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, SERVED
+from benchmarks.tables.cells import CELLS_READ
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
-from benchmarks.tables.heads import HEADS
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
@@ -33,7 +33,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [SERVED, CALIBRATED],
-    "docs/training.md": [HEADS],
+    "docs/training.md": [CELLS_READ],
     "docs/watch.md": [BELIEF],
 }
 """The tables of each page, from top to bottom."""

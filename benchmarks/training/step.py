@@ -43,7 +43,7 @@ class Case:
         self.optimiser = make_optimiser(self.model, Recipe())
         if encoder == "encoded":
             camera.constant = False  # so that nothing is computed ahead
-        self.inputs = Inputs(self.model, images)
+        self.inputs = Inputs(self.model, images, Recipe())
 
     def seconds(self, chosen: torch.Tensor) -> float:
         """Duration of one step [s]."""

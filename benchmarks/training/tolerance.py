@@ -158,7 +158,7 @@ def fitted(
         model = LenslessClassifier(camera, layers, 40.0)
     recipe = Recipe(batch=128)
     optimiser = make_optimiser(model, recipe)
-    inputs, order = Inputs(model, images), stream(seed, "order")
+    inputs, order = Inputs(model, images, recipe), stream(seed, "order")
     parts = -(-len(images) // recipe.batch)
     batches = [
         chosen

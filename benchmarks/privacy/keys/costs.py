@@ -171,6 +171,6 @@ def read_sealed(bundle: Bundle, images: Images, seed: int) -> Iterator[Read]:
         opened = torch.tensor(ends.opener.open(capture).embedding.values)  # type: ignore[union-attr]
         with torch.inference_mode():
             decoder = decoding.prepare(frame.shown(levels))
-            inputs = classifier_inputs(decoder, opened[None], fresh.features)
+            inputs = classifier_inputs(decoder, opened[None])
             place = int(classifier(inputs).argmax())
         yield Read(bundle.labels[label], said, bundle.labels[place])

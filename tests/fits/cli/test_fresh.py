@@ -17,7 +17,11 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.cli.main import app
 from veilcam_training.errors import TrainingError
 
-SMALL = 'tolerance = 1e-4\nrank = 20\nclassifier = "CNN4"\n[misalignment]\npanels = 2\n'
+SMALL = """classifier = "Scene2"
+masks = 4
+misalignment = {panels = 2}
+recipe = {tolerance = 1e-4, rank = 20, epochs = 2}
+"""
 """What a fit spends its time on, made small: nothing that a command says depends on it."""
 
 
@@ -57,14 +61,15 @@ def test_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
-    config.write_text(f'task = "mnist_3x4"\nepochs = 2\n{SMALL}')
+    config.write_text(f'task = "mnist_3x4"\n{SMALL}')
     out = tmp_path / "fresh.veilcam"
     command = ["fit-fresh", "--data", str(digit_folder), "--out", str(out), "--masks", "5"]
     command += ["--config", str(config), "--device", "cpu", "--work", str(work), "--batch", "80"]
     result = CliRunner().invoke(app, [*command, "--tensorboard", str(logs)])
     assert result.exit_code == 0, result.output
     made: Any = read_bundle(out).provenance["settings"]
-    assert (made["rank"], made["classifier"], made["batch"]) == (20, "CNN4", 80)
+    recipe = made["recipe"]
+    assert (recipe["rank"], made["classifier"], recipe["batch"]) == (20, "Scene2", 80)
     assert made["misalignment"]["panels"] == 2
     # Nobody else knows the seed, and it is taken up with the rest.
     kept = {path.name for path in work.iterdir()}

@@ -19,7 +19,6 @@ from veilcam_training.bundle.layers import (
     Dropout,
     Linear,
     ReLU,
-    Residual,
 )
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
@@ -36,8 +35,9 @@ from veilcam_training.models.classifiers import (
     make_layers,
 )
 from veilcam_training.models.network import build_classifier, build_untrained, weights_of
+from veilcam_training.models.scene import begin
 
-NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
+NAMES = ("LR", "FC20", "CNN4", "VGG11")
 
 
 def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
@@ -120,7 +120,7 @@ def test_paper_s_classifiers_have_their_sizes() -> None:
     assert wide == [(768, 800), (800, 10)]
 
 
-@pytest.mark.parametrize("name", ["FC20", "MLP16", "CNN4", "VGG11"])
+@pytest.mark.parametrize("name", ["FC20", "CNN4", "VGG11"])
 def test_dropout(name: str) -> None:
     def count(layers: tuple[LayerRecord, ...]) -> int:
         return sum(
@@ -139,37 +139,38 @@ def test_classifier_names_that_are_refused() -> None:
         make_layers("LR", task(), dropout=0.5)
 
 
-def test_of_estimated_scenes() -> None:
-    scene = SceneTask(2, 32, 26, 2, centred=True)
-    behind = dataclasses.replace(task(), scene=scene, classes=2)
-    first, *others = make_layers("ResNet16", behind, dropout=0.2)
-    assert first == Linear(inputs=24 * 32, outputs=2 * 32 * 26)
-    assert tuple(others) == make_layers("ResNet16", scene, dropout=0.2)
-    # Two stages, 13 and 7 pixels wide, of two blocks each, where a CNN has one.
-    assert [r.outputs for r in others if isinstance(r, Conv2d)] == [16, 32]
-    assert sum(isinstance(r, Residual) for r in others) == 4
-    assert sum(isinstance(r, Residual) for r in make_layers("CNN16", scene)) == 2
+@pytest.mark.parametrize(("channels", "patch"), [(1, 4), (3, 12)])
+def test_of_estimated_scenes(channels: int, patch: int) -> None:
+    """Three groups of two convolutions, each a pooling; the first layer is the whitening."""
+    scene = SceneTask(channels, 28, 30, 10)
+    layers = make_layers("Scene8", scene)
+    assert output_shape(layers, channels * 28 * 30) == (10,)
+    widths = [(r.inputs, r.outputs) for r in layers if isinstance(r, Conv2d)]
+    first = [(channels, 2 * patch), (2 * patch, 8), (8, 8)]
+    assert widths == [*first, (8, 32), (32, 32), (32, 32), (32, 32)]
+    estimate = (Linear(inputs=24 * 32, outputs=channels * 28 * 30),)
+    behind = dataclasses.replace(task(), estimate=(scene, estimate))
+    assert make_layers("Scene8", behind) == (*estimate, *layers)
     with pytest.raises(TrainingError, match="reads the estimated scene"):
-        make_layers("ResNet16", task())
+        make_layers("Scene8", task())
+    with pytest.raises(TrainingError, match="too small: use 3 x 3"):
+        make_layers("Scene8", SceneTask(channels, 2, 5, 10))
+    with pytest.raises(TrainingError, match="use dropout 0"):
+        make_layers("Scene8", scene, dropout=0.2)
+    for name in ("FC800", "Scene", "Scene<width>", "CNN8"):
+        with pytest.raises(TrainingError, match="use one of Scene<width>"):
+            make_layers(name, scene)
 
 
-def test_of_decoded_scenes() -> None:
-    layers = make_layers("CNN32", SceneTask(2, 28, 28, 10, centred=True), dropout=0.2)
-    # Two stages, 14 and 7 pixels long; the classifier after them sees every place by itself.
-    widths = [(r.inputs, r.outputs, r.stride) for r in layers if isinstance(r, Conv2d)]
-    assert widths == [(2, 32, 2), (32, 64, 2)]
-    hidden, last = [(r.inputs, r.outputs) for r in layers if isinstance(r, Linear)]
-    assert (hidden, last) == ((64 * 7 * 7, 128), (128, 10))
-    parameters = sum(p.numel() for p in build_untrained(layers).parameters())
-    first = 32 * (2 * 25 + 2 * 32 * 9)
-    second = 64 * (32 * 9 + 2 * 64 * 9)
-    # Normalisation after every convolution and before the last layer, and that one's bias.
-    assert parameters == first + second + 64 * 49 * 128 + 1290 + 2 * (3 * 32 + 3 * 64 + 128)
-    assert Dropout(probability=0.2) in layers
-    anywhere = make_layers("CNN32", SceneTask(2, 55, 73, 10, centred=False))
-    assert output_shape(anywhere, 2 * 55 * 73) == (10,)
-    # Three stages; wherever an object is, the last layers see the mean over all places.
-    assert [r.inputs for r in anywhere if isinstance(r, Linear)] == [128, 128]
-    for name in ("FC800", "CNN", "CNN<width>"):
-        with pytest.raises(TrainingError, match="use one of CNN<width>"):
-            make_layers(name, SceneTask(2, 28, 28, 10, centred=True))
+def test_scene_classifier_begins_with_a_whitening_that_stays() -> None:
+    module = build_untrained(make_layers("Scene8", SceneTask(3, 9, 8, 4)))
+    shared = torch.rand(400, 1, 9, 8, generator=torch.Generator().manual_seed(0))
+    own = torch.rand(400, 3, 9, 8, generator=torch.Generator().manual_seed(1))
+    scenes = shared + 0.1 * own
+    begin(module, scenes.flatten(1))
+    normal = (scenes - scenes.mean((0, 2, 3), True)) / scenes.std((0, 2, 3), keepdim=True)
+    first = module[2]
+    assert not first.weight.requires_grad
+    white = first(normal)[:, :12].transpose(0, 1).flatten(1)
+    covariance = white @ white.T / white.shape[1]
+    torch.testing.assert_close(covariance, torch.eye(12), atol=0.05, rtol=0)

@@ -77,7 +77,9 @@ def make(
 def response_of(decoding: SceneDecoding, weights: Tensor) -> Tensor:
     """A, (embedding values, scene values), whole: in colour a block for each."""
     transfer = decoding.operator(weights.double())
-    return torch.block_diag(*(transfer if transfer.ndim == 3 else transfer[None])).T
+    planes = transfer if transfer.ndim == 3 else transfer[None]
+    whole: Tensor = torch.block_diag(*planes).T  # type: ignore[no-untyped-call]
+    return whole
 
 
 def textbook(
@@ -321,8 +323,10 @@ def test_gradients_reach_the_mask(what: str, known: SceneStatistics) -> None:
 
     def loss(values: Tensor) -> Tensor:
         if what == "estimate":
-            return decoding.prepare(values)(measurements).square().sum()
-        return unknown_share(decoding.operator(values), decoding.statistics)
+            found: Tensor = decoding.prepare(values)(measurements).square().sum()
+        else:
+            found = unknown_share(decoding.operator(values), decoding.statistics)
+        return found
 
     (gradient,) = torch.autograd.grad(loss(weights), weights)
     assert bool(gradient.isfinite().all())

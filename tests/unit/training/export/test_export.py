@@ -158,7 +158,7 @@ def test_bundle_of_fresh_masks_has_one_classifier(tmp_path: Path) -> None:
     expected = Network.load(bundle.fresh.layers, bundle.fresh.weights)(values)
     close(run((tmp_path / "classifier.onnx").read_bytes(), values), expected)
     card = (tmp_path / "model-card.md").read_text()
-    assert "estimate and deviation of the decoded scene, 6 x 7 each" in card
+    assert "the decoded scene, 6 x 7" in card
 
 
 def test_card_says_data_accuracy_privacy_and_commands(pairs: Bundle) -> None:

@@ -50,7 +50,7 @@ def test_measurements_of_a_fixed_camera_are_computed_once(
 @pytest.mark.parametrize("jitter", [Augmentation(), Augmentation(mirror=True, crop=2)])
 def test_scenes_are_measured_and_estimated_once(source: Source, jitter: Augmentation) -> None:
     """With mirror images in a view of their own, which every other epoch shows."""
-    chosen = {"encoder": "fixed_simulated", "classifier": "Scene2"}
+    chosen: dict[str, Any] = {"encoder": "fixed_simulated", "classifier": "Scene2"}
     model, images = model_of(source, **chosen), source.test()
     settings = Settings(embedding="3x4", recipe=RECIPE, **chosen)
     prepare(model, settings, images)

@@ -71,7 +71,7 @@ def make_pairs(count: int = 3) -> Bundle:
 
 def make_fresh() -> Bundle:
     """Uniform masks, statistics of bars, and a classifier that knows nothing."""
-    layers, weights = _classifier(2 * 64, 7)
+    layers, weights = _classifier(64, 7)
     return Bundle(
         task="mnist",
         labels=tuple("abcd"),
