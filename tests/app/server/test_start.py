@@ -74,7 +74,7 @@ def not_a_number(path: Path) -> None:
         (unknown, "not a whole bundle"),
         (Path.unlink, "no such file"),
         (not_a_number, "NaN"),
-        (hiding_nothing, "^mask 0 hides nothing"),
+        (hiding_nothing, "^mask 0 shows pictures of the scene"),
     ],
 )
 def test_bundle_that_is_bad_is_refused(

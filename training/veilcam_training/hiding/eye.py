@@ -1,9 +1,9 @@
 """Eye that looks for pictures of candidates in one measurement: matched filters of pinholes.
 
 Behind a sub-pixel of row r and column c alone, a scene X shows the picture ``Ky[r]' X Kx[c]``. The
-eye compares the measurement with such pictures of all candidates, at each place, all colours together.
-Both are high-passed, and normalised inside the window that the pinhole's light covers. All factors
-are separable: the measurement is projected back to the size of the scene, and no picture is kept.
+eye compares the measurement with such pictures of all candidates, at each place, and adds up the
+colours. Both are high-passed, and normalised inside the window that the pinhole's light covers. All
+factors are separable: the measurement is projected back to the scene, and no picture is kept.
 """
 
 from __future__ import annotations
