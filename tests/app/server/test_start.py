@@ -45,7 +45,7 @@ def unknown(path: Path) -> None:
 def hiding_nothing(path: Path) -> None:
     bundle = read_bundle(path)
     pairs = tuple(
-        dataclasses.replace(pair, levels=np.full_like(pair.levels, 63 - number))
+        dataclasses.replace(pair, levels=np.full_like(pair.levels, number))
         for number, pair in enumerate(bundle.pairs)
     )
     write_bundle(path, dataclasses.replace(bundle, pairs=pairs))

@@ -8,6 +8,7 @@ factors are separable: the measurement is projected back to the scene, and no pi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,7 +24,7 @@ from veilcam_training.hiding.scenes import GROUP, drawn_scenes, random_masks, sm
 Values = npt.NDArray[Any]
 
 SCENES = 2 * GROUP
-_SMOOTH = {1: 2 / 24, 3: 3.5 / 24}
+_SMOOTH = {1: 1.75 / 24, 3: 3.5 / 24}
 """Standard deviation of the mean that the high-pass subtracts, in heights of the sensor; by the
 number of channels. Random masks are seen little then, and fifty holes or a hole in a random ground
 clearly."""
@@ -105,24 +106,30 @@ class Eye:
             for channel, y, x in _brightest(pinhole_kernels(camera, scene, embedding, channels))
         ]
         self.pinhole = self.seen(pinhole(camera))
-        # Twenty masks are many: a hundred scenes behind each are enough.
-        self.random = float(np.mean([self.seen(mask, GROUP) for mask in random_masks(camera)]))
+        # Twenty masks are many: each hides one of the hundreds, in turn.
+        starts = range(0, len(self.scenes), GROUP)
+        shares = [
+            self.seen(mask, slice(start, start + GROUP))
+            for mask, start in zip(random_masks(camera), itertools.cycle(starts), strict=False)
+        ]
+        self.random = float(np.mean(shares))
 
-    def seen(self, weights: Values, count: int | None = None) -> float:
+    def seen(self, weights: Values, part: slice = slice(None)) -> float:
         """Return the share of scenes that the eye picks out of a hundred behind a mask.
 
         Args:
             weights: amplitude transmittances, ``camera.mask_shape``.
-            count: number of scenes; all by default.
+            part: scenes that are shown; all by default.
 
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        values = self._measure(self.scenes[:count], weights)
+        values, first = self._measure(self.scenes[part], weights), part.start or 0
         picked = 0
         for start in range(0, len(values), GROUP):
-            group = slice(start, start + GROUP)
-            scores = self.scores(values[group], group)
+            scores = self.scores(
+                values[start : start + GROUP], slice(first + start, first + start + GROUP)
+            )
             picked += int((scores.argmax(1) == np.arange(len(scores))).sum())
         return picked / len(values)
 

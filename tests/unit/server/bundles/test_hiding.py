@@ -124,7 +124,7 @@ async def test_bundle_that_shows_pictures_is_not_taken_in(
 ) -> None:
     path = tmp_path / "open.veilcam"
     pairs = tuple(
-        dataclasses.replace(pair, levels=np.full_like(pair.levels, 63 - number))
+        dataclasses.replace(pair, levels=np.full_like(pair.levels, number))
         for number, pair in enumerate(bundle.pairs)
     )
     write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
