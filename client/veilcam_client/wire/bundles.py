@@ -39,6 +39,15 @@ class CardSummary(Answer):
     rows: tuple[CardFinding, ...]
 
 
+class MaskHiding(Answer):
+    """What a bundle's masks hide, as its maker measured it without a key."""
+
+    visible: bool
+    """Whether a mask shows pictures of the scene to an eye."""
+    found: tuple[str, ...]
+    """A sentence for each attacker: eye, machine with candidates, machine with the task."""
+
+
 class BundleInfo(Answer):
     """Bundle of masks and classifiers, without its secrets."""
 
@@ -57,6 +66,8 @@ class BundleInfo(Answer):
     """First digits of the SHA-256 of its owner's key; None for one that is not signed."""
     card: CardSummary | None = None
     """Its privacy card; None where it has none, or one of other masks."""
+    hiding: MaskHiding | None = None
+    """What its masks hide; None where nobody measured it."""
 
 
 class InstalledBundle(Answer):
@@ -100,6 +111,13 @@ def example_bundle() -> BundleInfo:
             rows=(
                 CardFinding(threat="T0", outcome="PASS", figure=94.1, end=92.8, unit="%"),
                 CardFinding(threat="T1", outcome="PASS", figure=0.2, end=0.8, unit="points"),
+            ),
+        ),
+        hiding=MaskHiding(
+            visible=False,
+            found=(
+                "An eye sees pictures of the scene: no (3 % of scenes picked out of 100; "
+                "4 % behind random masks, 98 % behind a pinhole).",
             ),
         ),
     )

@@ -61,8 +61,8 @@ def _check_blur(bundle: Bundle) -> None:
 
 def _check_eye(bundle: Bundle) -> None:
     """Look through every mask, unless the bundle holds a record of just these."""
-    record = bundle.hiding
-    if record is not None and record.digest == bundle.masks_digest:
+    record = bundle.valid_hiding
+    if record is not None:
         if record.visible:
             raise _shown(record.worst, record.seen, record.random_seen)
         return

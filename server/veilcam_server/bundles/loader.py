@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_client.wire.bundles import BundleInfo, CardFinding, CardSummary
+from veilcam_client.wire.bundles import BundleInfo, CardFinding, CardSummary, MaskHiding
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.status import Device
@@ -30,7 +30,7 @@ from veilcam_server.masks.source import MaskSource, Terms
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.settings import MANY, Settings
 from veilcam_server.system.state_file import Report
-from veilcam_training.bundle import Bundle, BundleError, PrivacyCard, read_bundle
+from veilcam_training.bundle import Bundle, BundleError, PrivacyCard, read_bundle, sentences
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,7 @@ class Identity:
 
 def bundle_info(bundle: Bundle) -> BundleInfo:
     """Return the public facts of a bundle."""
+    record = bundle.valid_hiding
     return BundleInfo(
         digest=bundle.digest,
         task=bundle.task,
@@ -54,6 +55,9 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
         version=bundle.version,
         signed_by=None if bundle.owner is None else bundle.owner.short,
         card=None if bundle.card is None else _summary(bundle.card),
+        hiding=None
+        if record is None
+        else MaskHiding(visible=record.visible, found=sentences(record)),
     )
 
 

@@ -45,7 +45,7 @@ def unknown(path: Path) -> None:
 def hiding_nothing(path: Path) -> None:
     bundle = read_bundle(path)
     pairs = tuple(
-        dataclasses.replace(pair, levels=np.full_like(pair.levels, 63 - number))
+        dataclasses.replace(pair, levels=np.full_like(pair.levels, number))
         for number, pair in enumerate(bundle.pairs)
     )
     write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
@@ -74,7 +74,7 @@ def not_a_number(path: Path) -> None:
         (unknown, "not a whole bundle"),
         (Path.unlink, "no such file"),
         (not_a_number, "NaN"),
-        (hiding_nothing, "^mask 0 hides nothing"),
+        (hiding_nothing, "^mask 0 shows pictures of the scene"),
     ],
 )
 def test_bundle_that_is_bad_is_refused(

@@ -152,7 +152,7 @@ class Bundle:
     light: LightPlan | None = None
     """Plan of the scene's light in training, of several grids the worst; None: none is known."""
     hiding: Hiding | None = None
-    """What attackers without a key found; None: not measured."""
+    """Record of what attackers without a key found; None: not measured."""
     channels: Literal[1, 3] = 1
     """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
     version: int = 0
@@ -195,6 +195,12 @@ class Bundle:
             return masks_digest(pair.levels for pair in self.pairs)
         drawn = self.fresh.distribution
         return masks_digest((drawn.lowest, drawn.highest, drawn.curve))
+
+    @property
+    def valid_hiding(self) -> Hiding | None:
+        """Record of hiding, if it is of these masks."""
+        record = self.hiding
+        return record if record is not None and record.digest == self.masks_digest else None
 
     @property
     def transfer_error(self) -> TransferError | None:

@@ -89,10 +89,9 @@ def show_command(
 
 def show_hiding(console: Console, bundle: Bundle) -> None:
     """Print what a bundle's masks hide, and from whom."""
-    if bundle.hiding is None:
-        console.print("hiding: not measured")
-    else:
-        console.print("\n".join(sentences(bundle.hiding)), soft_wrap=True, highlight=False)
+    record = bundle.valid_hiding
+    lines = ("hiding: not measured",) if record is None else sentences(record)
+    console.print("\n".join(lines), soft_wrap=True, highlight=False)
 
 
 def light_line(plan: LightPlan | None, error: TransferError | None) -> str:

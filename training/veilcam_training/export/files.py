@@ -16,7 +16,7 @@ import safetensors.numpy
 import torch
 
 from veilcam_optics.files import write_whole
-from veilcam_training.bundle import Accuracy, Bundle, Fresh, Pair
+from veilcam_training.bundle import Accuracy, Bundle, Fresh, Pair, sentences
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.network import build_classifier
 
@@ -175,11 +175,13 @@ def _data(bundle: Bundle) -> list[str]:
 
 
 def _privacy(bundle: Bundle) -> list[str]:
-    card = bundle.card
+    record, card = bundle.valid_hiding, bundle.card
+    found = [] if record is None else [*sentences(record), ""]
     if card is None:
-        return ["No privacy card: nothing is claimed of what embeddings tell."]
+        return [*found, "No privacy card: nothing is claimed of what embeddings tell."]
     quick = ", a quick look" if card.quick else ""
     return [
+        *found,
         f"{card.outcome} for embeddings that leave {card.form}{quick}, {card.made_at:%Y-%m-%d}.",
         "",
         "| threat | outcome | figure | end of its interval |",

@@ -1,13 +1,14 @@
 """Eye that looks for pictures of candidates in one measurement: matched filters of pinholes.
 
 Behind a sub-pixel of row r and column c alone, a scene X shows the picture ``Ky[r]' X Kx[c]``. The
-eye compares the measurement with such pictures of all candidates, at each place and in each colour.
-Both are high-passed, and normalised inside the window that the pinhole's light covers. All factors
-are separable: the measurement is projected back to the size of the scene, and no picture is kept.
+eye compares the measurement with such pictures of all candidates, at each place, and adds up the
+colours. Both are high-passed, and normalised inside the window that the pinhole's light covers. All
+factors are separable: the measurement is projected back to the scene, and no picture is kept.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,11 +24,13 @@ from veilcam_training.hiding.scenes import GROUP, drawn_scenes, random_masks, sm
 Values = npt.NDArray[Any]
 
 SCENES = 2 * GROUP
-_SMOOTH = 2 / 24
-"""Standard deviation of the mean that the high-pass subtracts, in heights of the sensor."""
+_SMOOTH = {1: 1.75 / 24, 3: 3.5 / 24}
+"""Standard deviation of the mean that the high-pass subtracts, in heights of the sensor; by the
+number of channels. Random masks are seen little then, and fifty holes or a hole in a random ground
+clearly."""
 _LIT = 0.1
 """Share of the brightest pixel from which a pixel belongs to a pinhole's window."""
-_KEPT = 3e-2
+_KEPT = 0.2
 """Share of the largest singular value from which a mode of the scene is kept."""
 
 
@@ -95,7 +98,7 @@ class Eye:
         self.scenes = drawn_scenes(scene, channels, SCENES) if scenes is None else scenes
         self._camera, self._embedding, self._channels = camera, embedding, channels
         self._measure = Measurer(camera, scene, embedding, channels)
-        sigma = _SMOOTH * embedding.rows
+        sigma = _SMOOTH[channels] * embedding.rows
         self._smooth_y = smoother(embedding.rows, sigma)
         self._smooth_x = smoother(embedding.columns, sigma)
         self._colours = [
@@ -103,24 +106,30 @@ class Eye:
             for channel, y, x in _brightest(pinhole_kernels(camera, scene, embedding, channels))
         ]
         self.pinhole = self.seen(pinhole(camera))
-        # Twenty masks are many: a hundred scenes behind each are enough.
-        self.random = float(np.mean([self.seen(mask, GROUP) for mask in random_masks(camera)]))
+        # Twenty masks are many: each hides one of the hundreds, in turn.
+        starts = range(0, len(self.scenes), GROUP)
+        shares = [
+            self.seen(mask, slice(start, start + GROUP))
+            for mask, start in zip(random_masks(camera), itertools.cycle(starts), strict=False)
+        ]
+        self.random = float(np.mean(shares))
 
-    def seen(self, weights: Values, count: int | None = None) -> float:
+    def seen(self, weights: Values, part: slice = slice(None)) -> float:
         """Return the share of scenes that the eye picks out of a hundred behind a mask.
 
         Args:
             weights: amplitude transmittances, ``camera.mask_shape``.
-            count: number of scenes; all by default.
+            part: scenes that are shown; all by default.
 
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        values = self._measure(self.scenes[:count], weights)
+        values, first = self._measure(self.scenes[part], weights), part.start or 0
         picked = 0
         for start in range(0, len(values), GROUP):
-            group = slice(start, start + GROUP)
-            scores = self.scores(values[group], group)
+            scores = self.scores(
+                values[start : start + GROUP], slice(first + start, first + start + GROUP)
+            )
             picked += int((scores.argmax(1) == np.arange(len(scores))).sum())
         return picked / len(values)
 
@@ -133,11 +142,11 @@ class Eye:
         """
         values = measurements.reshape(len(measurements), self._channels, *self._embedding.shape)
         best = np.full((len(values), len(self.scenes[group])), -1, np.float32)
-        for colour in self._colours:
-            image = values[:, colour.channel]
-            image = image - self._smooth_y @ image @ self._smooth_x.T
-            for scores in _correlations(image, colour, group):
-                np.maximum(best, scores, out=best)
+        images = values - self._smooth_y @ values @ self._smooth_x.T
+        rows = [_correlations(images[:, each.channel], each, group) for each in self._colours]
+        for found in zip(*rows, strict=False):
+            # A pinhole lets all colours through: their evidence adds up.
+            np.maximum(best, sum(found).max(1) / np.sqrt(len(found)), out=best)
         return best
 
     def _prepare(self, channel: int, y: _Axis, x: _Axis) -> _Colour:
@@ -181,7 +190,7 @@ def _brightest(kernels: Iterable[Kernel]) -> Iterable[Kernel]:
 
 
 def _correlations(image: Values, colour: _Colour, group: slice) -> Iterator[Values]:
-    """Best correlations of measurements and candidates in each row of places."""
+    """Correlations (measurements, places, candidates) in each row of places."""
     x = colour.x
     count, modes_x = len(image), x.modes.shape[1]
     candidates = colour.candidates[group].T
@@ -199,4 +208,4 @@ def _correlations(image: Values, colour: _Colour, group: slice) -> Iterator[Valu
         products -= total[:, :, None] * colour.means[row][None, :, group]
         products /= np.sqrt(np.maximum(energy, floor))[:, :, None]
         products /= colour.norms[row][None, :, group]
-        yield products.max(1)
+        yield products

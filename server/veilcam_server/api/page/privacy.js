@@ -80,6 +80,7 @@ export function privacyView(camera) {
     return card(
       "Masks",
       h("p", {}, what),
+      bundle.hiding ? bundle.hiding.found.map((text) => h("p", {}, text)) : null,
       h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
     );
   }
