@@ -33,9 +33,7 @@ from veilcam_training.experiments.model import (
     prepare,
 )
 from veilcam_training.files import read_private, write_private
-from veilcam_training.hiding.eye import SCENES, Eye
-from veilcam_training.hiding.reader import scenes_of
-from veilcam_training.hiding.scenes import GROUP
+from veilcam_training.hiding.eye import Eye, drawn_eye
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
@@ -48,7 +46,7 @@ WRONG_KEY_IMAGES = 1000
 CHECKED_ENTRIES = 16
 """Of a transfer: an interval of a factor 1.5 to either side, in half a second of one core."""
 SEED_BITS = 63
-COPIES = (0.95, 1.15)
+COPIES = (0.95, 1.25)
 """Least share of the copies that random masks lay, of a mask that is to hide; and where an eye sees
 it all the same."""
 SECOND: Mapping[str, object] = {"optimiser": "adam", "rate": 1e-3, "weight_decay": 0.0}
@@ -127,7 +125,7 @@ def run_fit(
     """
     parts, test = _read(source, device, training)
     model = make_model(settings, source, camera).to(device)
-    eye = _eye(model, parts.validation) if settings.recipe.hidden else None
+    eye = _eye(model) if settings.recipe.hidden else None
     for attempt, least in enumerate((0.0,) if eye is None else COPIES):
         if attempt:
             model = make_model(settings, source, camera).to(device)
@@ -156,18 +154,16 @@ def run_fit(
     )
 
 
-def _eye(model: LenslessClassifier, images: Images) -> Eye | None:
-    """Return an eye that looks for images; None where a mask has no bound.
+def _eye(model: LenslessClassifier) -> Eye | None:
+    """Return the eye that a daemon judges a mask by; None where a mask has no bound.
 
-    That is where the encoder learns no mask, where images are few or are shown at random places,
-    and where an eye does not find what one pinhole shows.
+    That is where the encoder learns no mask, where images are shown at random places, and where an
+    eye does not find what one pinhole shows.
     """
     setup = model.encoder.setup
-    learns = isinstance(model.encoder, LearnedMask) and isinstance(model.change, Identity)
-    if not learns or len(images) < GROUP:
+    if not (isinstance(model.encoder, LearnedMask) and isinstance(model.change, Identity)):
         return None
-    scenes = scenes_of(images, slice(0, min(len(images) // GROUP, SCENES // GROUP) * GROUP))
-    eye = Eye(setup.camera, setup.scene, setup.embedding, setup.channels, scenes)
+    eye = drawn_eye(setup.camera, setup.scene, setup.embedding, setup.channels)
     return eye if eye.pinhole >= LEAST_PINHOLE else None
 
 
