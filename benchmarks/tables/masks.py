@@ -45,27 +45,33 @@ TIMES: Figures = {
     "soak_mixed": ("daemon", "measurements that mixed two masks", "{}"),
 }
 
-CONDITIONING: Figures = {
-    **{
-        f"conditioning_{masks}_{name}": ("conditioning", f"least `{name}`, {words}", "{:.2f}")
-        for masks, words in (("drawn", "masks drawn from a key"), ("learned", "learned masks"))
-        for name in ("directions", "spread", "own")
-    },
-    **{
-        f"conditioning_refused_{name}": (
-            "conditioning",
-            f"refused at the embedding where fewest are: {words}",
-            "{:.1%}",
-        )
-        for name, words in (
-            ("1_open", "one open pixel anywhere"),
-            ("2_open", "two open pixels anywhere"),
-            ("3_open", "three open pixels anywhere"),
-            ("open_window", "open window, up to 20 % of noise"),
-            ("half", "half of the window open"),
-            ("gradient", "gradient"),
-        )
-    },
-    "conditioning_ms": ("conditioning", "time for one mask, 24 x 32", "{:.0f} ms"),
-    "conditioning_open_ms": ("conditioning", "time for a bundle of mode `fresh`", "{:.0f} ms"),
+HIDING: Figures = {
+    key: ("hiding", words, "{:.0%}")
+    for key, words in (
+        ("shipped_seen_worst", "seen, worst of the shipped masks (a guess: 1 %)"),
+        ("random_seen", "seen, random masks"),
+        ("pinhole_seen", "seen, one pinhole"),
+        ("shipped_recognised", "recognised, worst of the shipped masks (a guess: 1 %)"),
+        ("random_recognised", "recognised, random masks"),
+        ("shipped_read", "read, worst of the shipped masks (a guess: 11 %)"),
+        ("random_read", "read, random masks, 24 x 32"),
+        ("read_12x16", "read, random masks, 12 x 16"),
+        ("read_6x8", "read, random masks, 6 x 8"),
+        ("read_3x4", "read, random masks, 3 x 4"),
+    )
+}
+
+REFUSED: Figures = {
+    f"{name}_refused_{key}": ("hiding", f"refused: {words}, {size}", "{:.0%}")
+    for name, size in (("gray", "24 x 32"), ("colour", "27 x 36 in colour"))
+    for key, words in (
+        ("1_holes", "one hole"),
+        ("15_holes", "15 holes"),
+        ("50_holes", "50 holes"),
+        ("hole_in_50_even", "a hole in an even ground of half the amplitude"),
+        ("hole_in_50_random", "a hole in a random ground of half the amplitude"),
+        ("stripes_random", "stripes"),
+        ("halves", "halves"),
+        ("random", "random masks"),
+    )
 }

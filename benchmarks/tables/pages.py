@@ -10,7 +10,7 @@ from benchmarks.tables.cells import CELLS_READ
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
-from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
+from benchmarks.tables.masks import FRESH, HIDING, REFUSED, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
 from benchmarks.tables.table import Figures, table
 from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, GUARD, KEYS, MORE_KEYS, SIEGE, cards
@@ -20,14 +20,14 @@ BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->"
 
 PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "CONTRIBUTING.md": [CHECKS],
-    "README.md": [HEADLINES],
+    "README.md": [HIDING, HEADLINES],
     "deploy/README.md": [DEPLOYED, SIMULATED],
     "docs/figures.md": [TRAINED, LIGHT, UNUSED, KEYS, DAEMON],
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
     "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
-    "docs/bundle.md": [CONDITIONING],
+    "docs/bundle.md": [REFUSED],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],

@@ -12,7 +12,6 @@ from veilcam_training.errors import require
 from veilcam_training.models.classifiers import Exposure, Normalisation
 from veilcam_training.transforms.augmentation import Augmentation
 
-Mixup = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 Tolerance = Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
 
@@ -63,9 +62,6 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
     exposure: Exposure = "fixed"
     """Of a measurement, see :data:`veilcam_training.models.classifiers.Exposure`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    mixup: Mixup = 0.0
-    """Both parameters of a beta distribution that says how much of a second image is laid over
-    each (Zhang et al., "mixup: Beyond Empirical Risk Minimization", ICLR 2018); 0 lays none."""
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Decay per step of the running mean of the classifier's weights, which takes their place in
     validation and after the fit; 0 keeps the weights themselves."""
@@ -151,22 +147,6 @@ def find_recipe(name: str, situation: Situation) -> Recipe:
 
 OWN_CLASSIFIER = "Scene32"
 """Of somebody's own pictures, unless another is named."""
-OWN = Recipe(
-    epochs=60,
-    batch=256,
-    mask_rate=0.1,
-    normalisation="white",
-    exposure="automatic",
-    dropout=0.2,
-    jitter=Augmentation(rotation=10.0, scale=0.15, shift=0.08),
-)
-"""``FC<width>`` on own pictures: some thousand at most, which are learned by heart unless jittered.
-
-Chosen on the validation part of drawn shapes (:mod:`veilcam_training.data.drawn`): 97.5 % of them,
-where one cycle of 15 epochs without jitter reads 80.6 %.
-"""
-
-
 DIGITS = Augmentation(rotation=10.0, scale=0.1, shift=0.05)
 """Digits changed by this much are still the digits they were."""
 SHIFTED_DIGITS = Augmentation(rotation=10.0, scale=0.1, crop=2)
@@ -205,8 +185,6 @@ def scenes(data: str, *, colour: bool) -> Recipe:
 
 def _default(situation: Situation) -> Recipe:
     """Large batches and one cycle. A linear classifier stands, and needs, a higher rate."""
-    if situation.data == "image-folder" and situation.classifier.startswith("FC"):
-        return OWN
     if situation.classifier == "LR":
         return Recipe(epochs=15, batch=256, rate=4e-2, mask_rate=5e-2)
     if situation.classifier.startswith("Scene"):

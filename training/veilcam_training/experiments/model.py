@@ -68,6 +68,11 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         else (_scene_task(estimate.scene, setup.channels, classes), estimate.layers),
     )
     require(
+        estimate is None or not recipe.panel_errors.any,
+        "a Scene classifier is fitted behind an ideal panel: leave out panel_errors, or use "
+        "another classifier",
+    )
+    require(
         not recipe.end_to_end or estimate is not None,
         "only a Scene classifier has a second stage: leave out end_to_end",
     )

@@ -1,11 +1,10 @@
 """One step of fitting: from a few images to a small change of encoder and classifier."""
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import cross_entropy, one_hot
+from torch.nn.functional import cross_entropy
 
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Images
@@ -46,7 +45,7 @@ class Inputs(nn.Module):
         masks: int | None = None,
     ) -> None:
         super().__init__()
-        self._model, self._images, self._mixup = model, images, recipe.mixup
+        self._model, self._images = model, images
         self._transform = recipe.transform
         self.draws, self._epoch = model.begin_epoch(seed, 0), 0
         self._views: list[Tensor] = []
@@ -81,33 +80,21 @@ class Inputs(nn.Module):
         return self._views[0] if self._views else None
 
     def forward(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits for the images at ``chosen``, behind fresh noise, and what they show.
+        """Logits for the images at ``chosen``, behind fresh noise, and their labels (count,)."""
+        return self._logits(chosen), self._images.labels[chosen]
 
-        That is a label each, int64 (count,), or with mixup a share of every class.
-        """
-        labels = self._images.labels[chosen]
-        if not self._mixup:
-            return self._logits(chosen, lambda values: values), labels
-        # From torch's global generator, as dropout: a fit gives each epoch its own.
-        share = float(torch.distributions.Beta(self._mixup, self._mixup).sample())
-        other = torch.randperm(len(chosen)).to(chosen.device)
-        logits = self._logits(chosen, lambda values: values.lerp(values[other], share))
-        shown = one_hot(labels, logits.shape[1]).to(logits)
-        return logits, shown.lerp(shown[other], share)
-
-    def _logits(self, chosen: Tensor, mixed: Callable[[Tensor], Tensor]) -> Tensor:
+    def _logits(self, chosen: Tensor) -> Tensor:
         if self._views:
             estimates = self._view(chosen)
             if self._transform is not None:
                 estimates = self._transform(estimates, self.draws.scenes)
-            return self._model.classify(mixed(estimates).flatten(1))
+            return self._model.classify(estimates.flatten(1))
         if self._measurements is not None:
-            # Noiseless measurements are linear in scenes: mixed ones are those of mixed scenes.
-            return self._model.read(mixed(self._measurements[chosen]), self.draws.noise)
+            return self._model.read(self._measurements[chosen], self.draws.noise)
         images = self._images.scenes(chosen)
         if self._transform is not None:
             images = self._transform(images, self.draws.scenes)
-        logits: Tensor = self._model(mixed(images), *self.draws)
+        logits: Tensor = self._model(images, *self.draws)
         return logits
 
     def _view(self, chosen: Tensor) -> Tensor:
@@ -184,5 +171,4 @@ def train_step(
     loss.backward()  # type: ignore[no-untyped-call]
     optimiser.step()
     model.encoder.project()
-    most = wanted.argmax(1) if wanted.ndim == 2 else wanted
-    return value, int((logits.detach().argmax(1) == most).sum())
+    return value, int((logits.detach().argmax(1) == wanted).sum())
