@@ -45,27 +45,30 @@ TIMES: Figures = {
     "soak_mixed": ("daemon", "measurements that mixed two masks", "{}"),
 }
 
-CONDITIONING: Figures = {
-    **{
-        f"conditioning_{masks}_{name}": ("conditioning", f"least `{name}`, {words}", "{:.2f}")
-        for masks, words in (("drawn", "masks drawn from a key"), ("learned", "learned masks"))
-        for name in ("directions", "spread", "own")
-    },
-    **{
-        f"conditioning_refused_{name}": (
-            "conditioning",
-            f"refused at the embedding where fewest are: {words}",
-            "{:.1%}",
-        )
-        for name, words in (
-            ("1_open", "one open pixel anywhere"),
-            ("2_open", "two open pixels anywhere"),
-            ("3_open", "three open pixels anywhere"),
-            ("open_window", "open window, up to 20 % of noise"),
-            ("half", "half of the window open"),
-            ("gradient", "gradient"),
-        )
-    },
-    "conditioning_ms": ("conditioning", "time for one mask, 24 x 32", "{:.0f} ms"),
-    "conditioning_open_ms": ("conditioning", "time for a bundle of mode `fresh`", "{:.0f} ms"),
+HIDING: Figures = {
+    name: ("hiding", words, "{:.1%}")
+    for name, words in {
+        "shipped_seen_worst": "an eye sees, behind the worst shipped mask",
+        "random_seen": "an eye sees, behind random masks",
+        "pinhole_seen": "an eye sees, behind one pinhole",
+        "shipped_recognised": "a machine recognises, behind the worst shipped mask",
+        "random_recognised": "a machine recognises, behind random masks",
+        "shipped_read": "a machine reads digits, behind the worst shipped mask",
+        "random_read": "a machine reads digits, behind random masks",
+        "read_24x32": "a machine reads digits, random masks, 24 x 32",
+        "read_12x16": "a machine reads digits, random masks, 12 x 16",
+        "read_6x8": "a machine reads digits, random masks, 6 x 8",
+        "read_3x4": "a machine reads digits, random masks, 3 x 4",
+    }.items()
+} | {
+    f"{camera}_refused_{name}": ("hiding", f"a daemon refuses in {camera}: {words}", "{:.1%}")
+    for camera in ("gray", "colour")
+    for name, words in {
+        "1_holes": "one hole",
+        "50_holes": "fifty holes",
+        "hole_in_50_even": "a hole in an even ground of 50 %",
+        "hole_in_50_random": "a hole in a random ground of 50 %",
+        "stripes_random": "stripes",
+        "random": "random masks",
+    }.items()
 }

@@ -10,7 +10,7 @@ from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.heads import HEADS
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
-from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
+from benchmarks.tables.masks import FRESH, HIDING, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
 from benchmarks.tables.table import Figures, table
 from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, GUARD, KEYS, MORE_KEYS, SIEGE, cards
@@ -27,7 +27,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
     "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
-    "docs/bundle.md": [CONDITIONING],
+    "docs/bundle.md": [HIDING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],
