@@ -17,12 +17,12 @@ from veilcam_training.hiding.pinholes import Measurer
 
 Values = npt.NDArray[Any]
 
-FEW = 256
+FEW = 1000
 """Pixels up to which measurements are read as they are; spectra tell more of larger ones."""
 _MASKS = 300
 _SCENES = 200
 """Scenes behind each mask of the training."""
-_EPOCHS = 5
+_EPOCHS = 3
 _BATCH = 256
 _HIDDEN = 512
 
