@@ -102,7 +102,8 @@ def _disc(
 ) -> Mask:
     y, x = random.uniform(15, 35), random.uniform(7, 15)
     distance = np.square((along - y) * 0.073) + np.square((across - x) * 0.219)
-    return (distance < random.uniform(0.25, 1.0) ** 2).astype(np.float32)
+    mask: Mask = (distance < random.uniform(0.25, 1.0) ** 2).astype(np.float32)
+    return mask
 
 
 @app.command()

@@ -112,7 +112,8 @@ def _log_likelihood(values: Values, mean: Values, covariance: Values) -> Values:
     noise = _ERROR**2 * (np.square(mean).mean() + covariance.diagonal().mean())
     factor = np.linalg.cholesky(covariance + noise * np.eye(len(mean)))
     off = np.linalg.solve(factor, (values - mean).T)
-    return -np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum()
+    found: Values = -np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum()
+    return found
 
 
 def _pictures(y: Values, x: Values, scene: Values) -> Values:
@@ -146,4 +147,5 @@ def _logarithms(power: Values) -> Values:
     values = np.log(shares + 1e-5 / power.shape[1])
     values -= values.mean(1, keepdims=True)
     values /= np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-12)
-    return values.astype(np.float32)
+    found: Values = values.astype(np.float32)
+    return found

@@ -17,12 +17,12 @@ from veilcam_training.hiding.pinholes import Measurer
 
 Values = npt.NDArray[Any]
 
-FEW = 64
+FEW = 1000
 """Pixels up to which measurements are read as they are; spectra tell more of larger ones."""
 _MASKS = 300
 _SCENES = 200
 """Scenes behind each mask of the training."""
-_EPOCHS = 5
+_EPOCHS = 3
 _BATCH = 256
 _HIDDEN = 512
 
@@ -92,10 +92,10 @@ def _train(inputs: Tensor, labels: Tensor, classes: int) -> nn.Module:
         adam = torch.optim.Adam(network.parameters(), 2e-3)
         rates = torch.optim.lr_scheduler.OneCycleLR(adam, 3e-3, total_steps=steps)
         for _ in range(_EPOCHS):
-            for batch in torch.randperm(len(inputs)).split(_BATCH):
+            for batch in torch.split(torch.randperm(len(inputs)), _BATCH):
                 loss = nn.functional.cross_entropy(network(inputs[batch]), labels[batch])
                 adam.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 adam.step()
                 rates.step()
     return network.eval()
