@@ -224,11 +224,9 @@ class Table:
         if wanted is None:
             return self.classifiers
         for name in wanted:  # an unknown one is refused before anything is run
-            scene = SceneTask(2, 28, 28, 10, centred=True)
-            make_layers(
-                name,
-                Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel", scene=scene),
-            )
+            estimate = (SceneTask(1, 28, 28, 10), ())
+            task = Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel")
+            make_layers(name, replace(task, estimate=estimate))
         return tuple(dict.fromkeys(wanted))
 
 

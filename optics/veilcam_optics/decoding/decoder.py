@@ -173,7 +173,7 @@ class Decoder(Generic[Array]):
             OpticsError: measurements of another shape.
         """
         flat = self.mean + self.coordinates(measurements) @ self.basis.T
-        shape = self._planes(self.scene.shape)
+        shape: tuple[int, ...] = self._planes(self.scene.shape)
         scenes: Array = namespace(flat).reshape(flat, (flat.shape[0], *shape))
         return scenes
 

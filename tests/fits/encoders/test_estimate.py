@@ -132,10 +132,11 @@ def test_hidden_mask_keeps_its_copies() -> None:
     copies, share = Copies(setup.camera, setup.scene, colour=False), 0.95
     assert isinstance(hidden, LearnedMask)
     hidden.hide(share)
+    counts = []
     for encoder in (hidden, visible):
         assert isinstance(encoder, LearnedMask)
         estimate_of(encoder.train()).learn_mask()
-    counts = [float(copies.count(e.weights.detach()) / copies.random) for e in (hidden, visible)]
+        counts.append(float(copies.count(encoder.weights.detach()) / copies.random))
     # A penalty bends and does not break: it gives way by a few parts in a hundred.
     assert counts[1] < 0.8 * share < 0.9 * share < counts[0]
     assert unknown(visible) < unknown(hidden) < unknown(random_one)

@@ -221,7 +221,7 @@ FILES = Files("mnist", DIGITS, Path())
 
 def test_fingerprint_tells_settings_and_torch_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     changes: list[dict[str, object]] = [{}, {"seed": 1}, {"embedding": "3x4"}]
-    changes += [{"recipe": Recipe(mixup=0.5)}, {"recipe": Recipe(rank=10)}]
+    changes += [{"recipe": Recipe(epochs=3)}, {"recipe": Recipe(rank=10)}]
     chosen = [Settings().model_copy(update=change) for change in changes]
     monkeypatch.setattr(torch, "__version__", "2.13.0")
     found = {each.fingerprint(FILES) for each in chosen}

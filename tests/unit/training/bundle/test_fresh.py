@@ -77,7 +77,7 @@ def make_fresh(channels: int = 1, **changes: Any) -> Fresh:
     return Fresh(**{**given, **changes})
 
 
-def make_bundle(channels: int = 1) -> Bundle:
+def make_bundle(channels: Any = 1) -> Bundle:
     return Bundle(
         task="shapes",
         labels=("a", "b", "c", "d"),
