@@ -40,7 +40,7 @@ class CardSummary(Answer):
 
 
 class MaskHiding(Answer):
-    """What a bundle's masks hide, as its maker measured it without a key."""
+    """Figures of what a bundle's masks hide, as its maker measured it without a key."""
 
     visible: bool
     """Whether a mask shows pictures of the scene to an eye."""

@@ -255,7 +255,7 @@ def unknown_share(
     It is differentiable in the transfer where that is torch's, and computed in float64.
 
     Args:
-        transfer: as for :func:`prepare_decoder`.
+        transfer: transfer as for :func:`prepare_decoder`.
         statistics: statistics of the scenes. Their basis holds principal components.
         noise: noise to expect in measurements.
 

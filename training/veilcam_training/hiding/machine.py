@@ -54,7 +54,7 @@ def recognised(
         scene: before it.
         embedding: shape of the embedding.
         candidates: (count, channels, rows, columns) in [0, 1].
-        measurements: of the candidates, behind each mask, (count, channels * pixels).
+        measurements: measurements of the candidates behind each mask, (count, channels * pixels).
     """
     channels = candidates.shape[1]
     kernels = list(pinhole_kernels(camera, scene, embedding, channels))
