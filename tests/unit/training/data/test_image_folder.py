@@ -132,7 +132,7 @@ def test_classes_that_are_numbers_stand_in_their_order(tmp_path: Path) -> None:
 
 
 def test_large_pictures_are_reduced_by_area_about_their_centre(tmp_path: Path) -> None:
-    # Left half white; wide pictures of 256 x 128 come to 64 x 32, as the median has it.
+    # Left half white; wide pictures of 256 x 128 come to 32 x 16, as the median has it.
     wide = np.zeros((128, 256), dtype=np.uint8)
     wide[:, :128] = 255
     for number in range(20):
@@ -141,12 +141,12 @@ def test_large_pictures_are_reduced_by_area_about_their_centre(tmp_path: Path) -
     tall[192:320] = 255
     save(tmp_path / "a" / "tall.png", tall)
     source = open_source("image-folder", tmp_path)
-    assert source.scene.shape == (32, 64)
+    assert source.scene.shape == (16, 32)
     pixels = torch.cat([source.training().pixels, source.test().pixels])
     halves = pixels[(pixels == 0).flatten(1).any(1)]
     assert len(halves) == 20
-    assert (halves[:, :, :32] == 255).all()
-    assert (halves[:, :, 32:] == 0).all()
+    assert (halves[:, :, :16] == 255).all()
+    assert (halves[:, :, 16:] == 0).all()
     assert (pixels[(pixels == 255).flatten(1).all(1)]).shape[0] == 1
 
 
