@@ -124,7 +124,7 @@ def test_same_seed_gives_the_same_result(
     [
         *({"epochs": 2}, {"batch": 30}, {"optimiser": "sgd"}, {"rate": 2e-2}, {"mask_rate": 1e-2}),
         *({"mask_start": "pinhole"}, {"weight_decay": 0.5}, {"schedule": "constant"}),
-        *({"warm_up": 0.5}, {"label_smoothing": 0.2}, {"mixup": 0.5}, {"averaging": 0.9}),
+        *({"warm_up": 0.5}, {"label_smoothing": 0.2}, {"averaging": 0.9}),
         *({"jitter": Augmentation(rotation=5.0)}, {"jitter": Augmentation(scale=0.1)}),
         *({"jitter": Augmentation(shift=0.05)}, {"jitter": Augmentation(mirror=True)}),
         *({"panel_errors": PanelErrors(gamma=0.1)}, {"panel_errors": PanelErrors(floor=0.1)}),
@@ -151,7 +151,7 @@ def test_every_option_has_an_effect(few: Source, reference: Fit, changes: dict[s
         {"misalignment": Misalignment(distance=2e-4, panels=2)},
         *({"jitter": Augmentation()}, {"epochs": 2}, {"batch": 128}, {"masks": 2}, {"pooling": 2}),
         *({"optimiser": "sgd"}, {"rate": 2e-3}, {"weight_decay": 0.5}, {"label_smoothing": 0.3}),
-        *({"mixup": 0.5}, {"averaging": 0.0}, {"spread": 0.4}, {"seed": 1}),
+        *({"averaging": 0.0}, {"spread": 0.4}, {"seed": 1}),
         {"validation_masks": 8},
     ],
     ids=lambda changes: "-".join(map(str, changes)),

@@ -33,6 +33,7 @@ from veilcam_training.cli.options import (
 from veilcam_training.config.recipes import TASKS
 from veilcam_training.config.settings import load_fresh_settings
 from veilcam_training.data import recognise
+from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
 from veilcam_training.experiments.keyring import as_fresh_bundle, check_fresh
@@ -66,7 +67,7 @@ def fit_fresh_command(
     overrides = given(task=task, seed=seed) | {"recipe": given(epochs=epochs, batch=batch)}
     load = partial(load_fresh_settings, config, overrides, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
-    camera = Camera()
+    source, camera = ReadOnce(source), Camera()
     check_fresh(settings, source, camera)
     show_summary(console, source)
     recipe = settings.recipe

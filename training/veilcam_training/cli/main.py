@@ -40,6 +40,7 @@ from veilcam_training.cli.options import (
 from veilcam_training.config.recipes import RECIPES
 from veilcam_training.config.settings import load_settings
 from veilcam_training.data import SOURCES, recognise
+from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
 from veilcam_training.encoders import ENCODERS, read_psf
@@ -179,7 +180,7 @@ def fit_command(
     check_places(out, work, tensorboard, csv)
     if out is None and work is None:
         console.print("note: without --out or --work nothing of this fit will be kept")
-    camera = Camera()
+    source, camera = ReadOnce(source), Camera()
     if out is not None:
         check_pairs(settings, source, camera)
     settings = settle_seed(settings, work)

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Source, open_source
-from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.summary import summarise
 from veilcam_training.errors import require
 from veilcam_training.files import check_file, check_folder
@@ -101,7 +100,7 @@ SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
 def opened(
     load: Callable[..., SettingsT], folder: Path, *, skip_damaged: bool
 ) -> tuple[SettingsT, Source]:
-    """Return the settings of a fit and its data set, read from disk once.
+    """Return the settings of a fit and its data set.
 
     Args:
         load: function that loads settings, and is told whether the data set has ``colour``.
@@ -112,7 +111,7 @@ def opened(
     source = open_source(settings.data, folder, skip_damaged=skip_damaged)
     if source.colour:
         settings = load(colour=True)
-    return settings, ReadOnce(source)
+    return settings, source
 
 
 def show_summary(console: Console, source: Source) -> None:
