@@ -50,6 +50,7 @@ class Cell:
     data: str
     embedding: str
     recipe: Mapping[str, Any] = field(default_factory=dict)
+    classifier: str = "Scene32"
     masks: int = 0
     """Unseen masks for the test set; 0 for one mask that stays."""
 
@@ -65,7 +66,7 @@ class Cell:
             {
                 "data": self.data,
                 "embedding": self.embedding,
-                "classifier": "Scene32",
+                "classifier": self.classifier,
                 "seed": seed,
                 "recipe": self.recipe,
             },
@@ -78,9 +79,9 @@ CELLS: Mapping[str, Cell] = {
     "cifar10_hidden_27x36": Cell("cifar10", "27x36"),
     "cifar10_hidden_6x8": Cell("cifar10", "6x8"),
     "cifar10_fresh_27x36": Cell("cifar10", "27x36", masks=5),
-    "mnist_hidden_24x32": Cell("mnist", "24x32"),
+    "mnist_hidden_24x32": Cell("mnist", "24x32", classifier="Scene16"),
     # Of twelve numbers no eye sees anything: there is no bound.
-    "mnist_hidden_3x4": Cell("mnist", "3x4", {"hidden": False}),
+    "mnist_hidden_3x4": Cell("mnist", "3x4", {"hidden": False, "end_to_end": True}, "Scene16"),
 }
 """By the names of their figures."""
 

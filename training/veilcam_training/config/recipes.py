@@ -152,7 +152,7 @@ DIGITS = Augmentation(rotation=10.0, scale=0.1, shift=0.05)
 SHIFTED_DIGITS = Augmentation(rotation=10.0, scale=0.1, crop=2)
 """The same, moved by whole pixels of the estimated scene."""
 SCENES = Recipe(
-    epochs=8,
+    epochs=6,
     batch=500,
     optimiser="nesterov",
     rate=0.6,
