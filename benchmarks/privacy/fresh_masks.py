@@ -75,7 +75,7 @@ def accuracy(
         Path | None, typer.Option(help="Folder for a checkpoint: resumes what is in it.")
     ] = None,
     masks: Annotated[
-        int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
+        int | None, typer.Option(min=1, help="Masks to test on; 200 by default.")
     ] = None,
     figures: FiguresOption = None,
 ) -> None:

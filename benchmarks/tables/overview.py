@@ -101,7 +101,7 @@ LIGHT: Figures = {
 UNUSED: Figures = {
     "fresh_mnist_24x32": (
         "fresh-masks",
-        "MNIST behind masks never used before, one for each of 10,000 captures, 24 x 32",
+        "MNIST behind masks never used before, 24 x 32",
         "{:.2f} %",
     ),
     "fresh_mnist_shift": (

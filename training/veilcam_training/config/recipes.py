@@ -347,16 +347,16 @@ RECIPES: Mapping[str, Callable[[Situation], Recipe]] = {
 }
 
 TASKS: Mapping[str, Mapping[str, Any]] = {
-    "mnist_24x32": {},
-    "mnist_12x16": {"embedding": "12x16", "exponent": 4.0},
-    "mnist_6x8": {"embedding": "6x8", "exponent": 4.0, "spread": 0.25},
-    "mnist_3x4": {"embedding": "3x4", "exponent": 4.0, "spread": 0.25},
+    "mnist_24x32": {"classifier": "Scene16"},
+    "mnist_12x16": {"classifier": "Scene16", "embedding": "12x16", "exponent": 4.0},
+    "mnist_6x8": {"classifier": "Scene16", "embedding": "6x8", "exponent": 4.0, "spread": 0.25},
+    "mnist_3x4": {"classifier": "Scene16", "embedding": "3x4", "exponent": 4.0, "spread": 0.25},
     "mnist_shift": {
         "placement": "anywhere",
         "misalignment": {"panels": 4},
         "recipe": {"pooling": 2, "jitter": {"crop": 2}},
     },
-    "fashion_24x32": {"data": "fashion", "exponent": 4.0},
+    "fashion_24x32": {"data": "fashion", "classifier": "Scene16", "exponent": 4.0},
     "faces_gender_24x32": {"data": "faces-gender"},
     "cifar10_27x36": {"data": "cifar10", "embedding": "27x36"},
 }
