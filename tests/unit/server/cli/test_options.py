@@ -37,6 +37,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "bundle": (("--bundle", "other.veilcam"), Path("other.veilcam")),
     "owner_keys": (("--owner-keys", "owners"), Path("owners")),
     "allow_older": (("--allow-older",), True),
+    "allow_visible": (("--allow-visible",), True),
     "device": (SIMULATED, "simulated"),
     "scenes": ((*SIMULATED, "--scenes", "a.png", "--scenes", "b.png"), ("a.png", "b.png")),
     "skip_damaged": ((*SIMULATED, "--scenes", "a", "--skip-damaged"), True),
