@@ -72,7 +72,8 @@ def test_bundle_is_shown(tmp_path: Path) -> None:
     assert f"accuracy {100 * bundle.accuracy.value:.2f} % on {bundle.accuracy.test_set}" in said
     planned = "light: planned to 3.0e-03, predicted error 1.7e-03 (reached), 1 zone, "
     assert f"{planned}reach 0 rows 1 columns; worst mask by check: error {error}\n" in said
-    write_bundle(file, replace(bundle, light=None, hiding=None))
+    bare = tuple(replace(pair, transfer_error=None) for pair in bundle.pairs)
+    write_bundle(file, replace(bundle, pairs=bare, light=None, hiding=None))
     assert "light: not planned\nhiding: not measured\n" in run("show", file)
     owner = run("keygen", key).splitlines()[-1]
     run("sign", file, "--key", key, "--version", "3")
