@@ -35,7 +35,7 @@ from veilcam_training.models.classifiers import (
     make_layers,
 )
 from veilcam_training.models.network import build_classifier, build_untrained, weights_of
-from veilcam_training.models.scene import begin
+from veilcam_training.models.scene import begin, confidence_factor
 
 NAMES = ("LR", "FC20", "CNN4", "VGG11")
 
@@ -174,3 +174,11 @@ def test_scene_classifier_begins_with_a_whitening_that_stays() -> None:
     white = first(normal)[:, :12].transpose(0, 1).flatten(1)
     covariance = white @ white.T / white.shape[1]
     torch.testing.assert_close(covariance, torch.eye(12), atol=0.05, rtol=0)
+
+
+def test_confidence_is_set_right_without_changing_a_label() -> None:
+    random = torch.Generator().manual_seed(0)
+    logits = 3 * torch.randn(4000, 5, generator=random)
+    labels = torch.multinomial(logits.softmax(1), 1, generator=random).flatten()
+    # Logits of 0.4 of their size are too unsure; a step of the grid is six parts in a hundred.
+    assert confidence_factor(0.4 * logits, labels) == pytest.approx(2.5, rel=0.1)

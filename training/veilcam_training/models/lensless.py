@@ -7,10 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_training.bundle import LayerRecord
+from veilcam_training.bundle.layers import Affine
 from veilcam_training.encoders import Encoder
 from veilcam_training.encoders.estimate import SceneEstimate
 from veilcam_training.encoders.fresh import FreshCamera
-from veilcam_training.models.network import build_untrained
+from veilcam_training.models.network import AffineModule, build_untrained
 from veilcam_training.models.whitening import plain, whiten
 from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import Identity, Transform
@@ -98,6 +99,14 @@ class LenslessClassifier(nn.Module):
         with torch.autocast(inputs.device.type, dtype=torch.bfloat16):
             logits = self.classifier(inputs)
         return logits.float()
+
+    def rescale(self, factor: float) -> None:
+        """Multiply the logits of a scene classifier by a factor."""
+        last, module = self.layers[-1], self.classifier[-1]
+        if isinstance(last, Affine) and isinstance(module, AffineModule):
+            scale = factor * last.scale
+            self.layers = (*self.layers[:-1], last.model_copy(update={"scale": scale}))
+            module.scale = scale
 
     def reader(self) -> nn.Module:
         """Return a copy of the reader of measurements: a module of plain ``layers``."""

@@ -92,11 +92,18 @@ def judge(model: LenslessClassifier, inputs: Tensor, labels: Tensor) -> Evaluati
         inputs: (count, inputs).
         labels: int64 (count,).
     """
-    was_training = model.training
-    model.eval()
-    logits = torch.cat([model.classify(part.float()) for part in torch.split(inputs, BATCH)])
-    model.train(was_training)
+    logits = logits_of(model, inputs)
     predicted = logits.argmax(1)
     right = int((predicted == labels).sum())
     loss = cross_entropy(logits, labels).item()
     return Evaluation(right / len(labels), loss, predicted.cpu())
+
+
+@torch.no_grad()
+def logits_of(model: LenslessClassifier, inputs: Tensor) -> Tensor:
+    """Return the logits (count, classes) of inputs of :func:`measure`."""
+    was_training = model.training
+    model.eval()
+    logits = torch.cat([model.classify(part.float()) for part in torch.split(inputs, BATCH)])
+    model.train(was_training)
+    return logits

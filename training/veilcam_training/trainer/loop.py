@@ -15,11 +15,11 @@ from torch import Tensor
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Split
 from veilcam_training.models.lensless import LenslessClassifier
-from veilcam_training.models.scene import begin
+from veilcam_training.models.scene import begin, confidence_factor
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.evaluation import evaluate, judge, measure
+from veilcam_training.trainer.evaluation import evaluate, judge, logits_of, measure
 from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
 
 
@@ -95,6 +95,9 @@ def fit(
             callback.epoch(epoch)
     model.load_state_dict(state.best_weights)
     model.eval()
+    if held is not None:
+        logits = logits_of(model, held)
+        model.rescale(confidence_factor(logits, split.validation.labels))
     return Fit(model, tuple(state.history), state.best)
 
 
