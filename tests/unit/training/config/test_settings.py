@@ -204,7 +204,8 @@ def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
 def test_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
     for name in TASKS:
         load_fresh_settings(None, {"task": name})
-    assert load_fresh_settings(None, {}) == FreshSettings(recipe=scenes("mnist", colour=False))
+    digits = FreshSettings(classifier="Scene16", recipe=scenes("mnist", colour=False))
+    assert load_fresh_settings(None, {}) == digits
     text = 'task = "mnist_shift"\nrecipe = {epochs = 3}\n[misalignment]\nshift = 0.0\n'
     path = write(tmp_path, text)
     settings = load_fresh_settings(path, {"seed": 3})
