@@ -16,6 +16,7 @@ from typing import Annotated
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.training.cells import Log
 from rich.console import Console
 from torch import Tensor
 
@@ -41,7 +42,7 @@ from veilcam_training.models.classifiers import SceneTask, make_layers
 from veilcam_training.models.lensless import FreshClassifier
 from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import seeded
-from veilcam_training.trainer.callbacks import Epoch, FitProgress, make_progress
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.loop import fit
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
@@ -49,21 +50,6 @@ app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 STILL = {"rotation": 0.0, "scale": 0.0, "crop": 0}
 """Of what is not a picture."""
 Data = Annotated[Path, typer.Option(help="Folder that holds the data set's files.")]
-
-
-class Log:
-    """Prints every epoch, for runs whose output goes to a file."""
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        """Say nothing."""
-
-    def epoch(self, epoch: Epoch) -> None:
-        """One line."""
-        print(
-            f"epoch {epoch.number + 1}  loss {epoch.loss:.4f}  "
-            f"validation {100 * epoch.validation_accuracy:.2f} %  {epoch.seconds:.0f} s",
-            flush=True,
-        )
 
 
 @app.command()

@@ -58,7 +58,6 @@ def fitted(
 def test_fit_learns_to_read_behind_new_masks(fitted: tuple[FreshResult, FreshResult]) -> None:
     result, again = fitted
     assert result.masks == 50
-    # Bars differ by their places alone, and the head takes the maximum over all places.
     assert result.accuracy.value > 0.6
     first, *_, last = result.fit.history
     assert last.validation_accuracy > first.validation_accuracy + 0.3

@@ -47,8 +47,8 @@ CHECKED_ENTRIES = 16
 """Of a transfer: an interval of a factor 1.5 to either side, in half a second of one core."""
 SEED_BITS = 63
 COPIES = (0.95, 1.25)
-"""Least share of the copies that random masks lay, of a mask that is to hide; and where an eye sees
-it all the same."""
+"""Least counts of copies, as shares of those of random masks: of the first attempt, and of a second
+one where an eye sees the scene all the same."""
 SECOND: Mapping[str, object] = {"optimiser": "adam", "rate": 1e-3, "weight_decay": 0.0}
 """Changes of the recipe in the second stage of a fit."""
 TEST_MASKS = 200
