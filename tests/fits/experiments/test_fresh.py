@@ -58,11 +58,13 @@ def fitted(
 def test_fit_learns_to_read_behind_new_masks(fitted: tuple[FreshResult, FreshResult]) -> None:
     result, again = fitted
     assert result.masks == 50
-    assert result.accuracy.value > 0.6
+    # Ten classes: chance is 0.1.
+    assert result.accuracy.value > 0.5
     first, *_, last = result.fit.history
     assert last.validation_accuracy > first.validation_accuracy + 0.3
-    # With a decoder of another mask little is left, even of a task as coarse as this one.
-    assert result.wrong_key_accuracy < result.accuracy.value - 0.3
+    # A decoder of another mask reads less. Two shares of 100 scenes differ by 0.2 in three standard
+    # deviations at most.
+    assert result.wrong_key_accuracy < result.accuracy.value - 0.2
     # Nothing is left to do, and the same comes of it.
     assert again.accuracy == result.accuracy
     one, other = result.camera.distribution, again.camera.distribution
