@@ -32,7 +32,7 @@ from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import stream
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.step import evaluate
 from veilcam_training.trainer.loop import fit
 
 ERRORS = PanelErrors(gamma=0.1, floor=0.05, shift=5e-5, distance=5e-5)

@@ -39,7 +39,7 @@ from veilcam_training.experiments.card_page import panels_of
 from veilcam_training.models.classifiers import Task, make_layers
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream
-from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.step import evaluate
 from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
 
 INTERVAL = 4.303 / 3**0.5

@@ -15,7 +15,7 @@ import torch
 
 from veilcam_training.errors import TrainingError
 from veilcam_training.files import read_private, write_private
-from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
+from veilcam_training.trainer.loop import load_checkpoint, save_checkpoint
 
 STATE: dict[str, Any] = {
     "model": {"weight": torch.arange(40.0)},

@@ -25,7 +25,7 @@ from veilcam_training.experiments import fit as fitting
 from veilcam_training.experiments.fit import FreshResult, run_fresh
 from veilcam_training.experiments.keyring import as_fresh_bundle
 from veilcam_training.models.network import build_classifier
-from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.step import evaluate
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
 

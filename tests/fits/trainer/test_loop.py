@@ -28,7 +28,7 @@ from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import derive, seeded
 from veilcam_training.trainer import checkpoint as checkpoints
 from veilcam_training.trainer.callbacks import Epoch, MovingAverage
-from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.step import evaluate
 from veilcam_training.trainer.loop import Fit, fit
 from veilcam_training.trainer.step import make_optimiser
 from veilcam_training.transforms.augmentation import Augmentation

@@ -1,48 +1,29 @@
-"""Settings of fits, from TOML files: typed, and every unknown key is refused.
-
-data = "mnist"
-classifier = "FC800"
-
-[recipe]
-base = "default"        # by name; what follows takes the place of its values
-epochs = 30
-snr_db = "none"         # TOML has no null
-
-[recipe.panel_errors]
-shift = 5e-5
-
-A fit for fresh masks has its own settings, beside the name of a ``task``, and the same recipe.
-"""
+"""Settings of a fit: all that its result depends on, besides the files of the data set."""
 
 import hashlib
+import math
 import re
-import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, Self
 
 import torch
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, model_validator
 
 from veilcam_optics.camera.geometry import Embedding
-from veilcam_training.config.recipes import (
-    OWN_CLASSIFIER,
-    TASKS,
-    Recipe,
-    Situation,
-    find_recipe,
-    scenes,
-)
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
+from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
+from veilcam_training.models.classifiers import Exposure, Normalisation
+from veilcam_training.transforms.augmentation import Augmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1, le=2**20)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
+Tolerance = Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
 
 
 def parse_embedding(text: str) -> Embedding:
@@ -57,8 +38,39 @@ def parse_embedding(text: str) -> Embedding:
     return Embedding(int(match[1]), int(match[2]))
 
 
-class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
-    """All that the result of a fit depends on, besides the files of the data set."""
+def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:
+    """Factor on a learning rate: it rises at first, and then falls as a cosine.
+
+    Args:
+        progress: share of the fit that is done, in [0, 1).
+        warm_up: share of the fit in which the rate rises.
+        lowest: factor that it does not fall below.
+    """
+    if progress < warm_up:
+        return 0.04 + 0.96 * progress / warm_up
+    falling = (progress - warm_up) / (1 - warm_up)
+    return max(lowest, 0.5 * (1 + math.cos(math.pi * falling)))
+
+
+class FreshMasks(BaseModel, frozen=True, extra="forbid", strict=True):
+    """Masks of a fit of one classifier to many, each used for a moment only."""
+
+    placement: Literal["centred", "anywhere"] = "centred"
+    """``anywhere``: the object lies anywhere fully in the field of view."""
+    exponent: Positive = 1.0
+    """Masks are ``u ** exponent`` for uniform ``u``, rounded to the panel's levels."""
+    spread: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Learn a range of ``u`` for each sub-pixel, this much to both sides of a centre."""
+    misalignment: Misalignment | None = Misalignment()
+    model_error: NotNegative = 0.0
+    """Relative error of the response that the decoder expects."""
+    masks: Count = 100
+    """Masks that each view of the training images is measured behind."""
+    validation_masks: Count = 20
+
+
+class FitSettings(BaseModel, frozen=True, extra="forbid", strict=True):
+    """All that the result of a fit depends on. The default values are not tuned to any task."""
 
     data: str = "mnist"
     encoder: str = "learned"
@@ -74,8 +86,97 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
     """How images are shown to the camera, in training and in testing."""
     classifier: str = "LR"
+    fresh: FreshMasks | None = None
+    """Masks that are drawn anew all the time; None for one mask that stays."""
     seed: Seed = 0
-    recipe: Recipe = Recipe()
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 50
+    batch: Annotated[int, Field(ge=2, le=65_536)] = 512
+    """Images in one step."""
+    optimiser: Literal["adam", "sgd", "nesterov"] = "adam"
+    """``nesterov`` is for ``Scene<width>``: momentum 0.85, and faster biases."""
+    rate: Rate = 3e-3
+    """Learning rate of the classifier, at its highest."""
+    mask_rate: Rate = 3e-2
+    """Learning rate of the encoder, at its highest: mask weights have a range of 1."""
+    mask_start: Literal["random", "pinhole"] = "random"
+    """What a learned mask starts from: random weights, or one open pixel before a dim ground."""
+    hidden: bool = True
+    """Keep the copies of the scene behind a learned mask many, so that no eye sees one."""
+    end_to_end: bool = False
+    """Learn mask and ``Scene<width>`` together in a second stage, half as long as the first; other
+    classifiers are always learned so."""
+    weight_decay: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Decoupled weight decay of the classifier (AdamW); the encoder has none."""
+    schedule: Literal["one_cycle", "steps", "constant"] = "one_cycle"
+    """``one_cycle`` warms up and then falls as a cosine; ``steps`` divides by 10."""
+    warm_up: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    """Share of a ``one_cycle`` schedule in which the rate rises."""
+    steps_every: Annotated[int, Field(ge=1)] = 20
+    """Epochs between two divisions of a ``steps`` schedule."""
+    normalisation: Normalisation = "per_pixel"
+    """How a classifier takes a measurement, see :mod:`veilcam_training.models.classifiers`."""
+    exposure: Exposure = "fixed"
+    """Of a measurement, see :data:`veilcam_training.models.classifiers.Exposure`."""
+    label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Decay per step of the running mean of the classifier's weights, which takes their place in
+    validation and after the fit; 0 keeps the weights themselves."""
+    pooling: Annotated[int, Field(ge=1, le=16)] = 1
+    """Side, in scene pixels, of a pixel of the estimated scene, for classifiers that read one."""
+    rank: Annotated[int, Field(ge=1, le=2**12)] = 512
+    """Principal components of the scene that its estimate uses."""
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Of the classifier's hidden layers."""
+    patience: Annotated[int, Field(ge=1)] | None = None
+    """Epochs without a better validation accuracy after which fitting stops; None: never."""
+    precision: Literal["full", "mixed"] = "full"
+    """``mixed`` fits the classifier in bfloat16 on a processor that has it."""
+    jitter: Augmentation = Augmentation()
+    """Random changes of the training images."""
+    panel_errors: PanelErrors = PanelErrors()
+    """How the panel errs in training."""
+    snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | None = 40.0
+    """Signal-to-noise ratio of a measurement [dB]; None for no noise."""
+    tolerance: Tolerance = 3e-3
+    """Relative L2 error that the light is planned to, at the embedding: a third of the noise at
+    40 dB."""
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if self.fresh is not None:
+            plain = FitSettings()
+            for name in ("encoder", "psf", "binning", "change", "end_to_end"):
+                if getattr(self, name) != getattr(plain, name):
+                    raise ValueError(f"fresh masks have no {name}: leave it out")
+        if self.normalisation == "white" and self.precision == "mixed":
+            raise ValueError(
+                "normalisation 'white' tells apart what bfloat16 rounds away: use precision 'full'"
+            )
+        if self.normalisation == "white" and self.averaging:
+            raise ValueError(
+                "normalisation 'white' changes its coordinates in a fit, and weights in different "
+                "coordinates have no mean: use averaging 0"
+            )
+        return self
+
+    def rate_factor(self, progress: float) -> float:
+        """Factor on both learning rates when ``progress``, in [0, 1), of the fit is done."""
+        if self.schedule == "constant":
+            return 1.0
+        if self.schedule == "steps":
+            return float(0.1 ** (math.floor(progress * self.epochs + 1e-9) // self.steps_every))
+        return one_cycle(progress, warm_up=self.warm_up, lowest=1e-4)
+
+    @property
+    def transform(self) -> Augmentation | None:
+        """Augmentation of the training images; None if there is none."""
+        return self.jitter if self.jitter.any else None
+
+    @property
+    def without_mirror(self) -> Augmentation | None:
+        """Augmentation of estimates, of which mirror images are measured; None if there is none."""
+        left = self.jitter.model_copy(update={"mirror": False})
+        return left if left.any else None
 
     def fingerprint(self, source: Source) -> str:
         """SHA-256 of the settings and of the data: two fits are the same if these are."""
@@ -83,7 +184,8 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         if self.psf is not None:
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
         # What is in the file counts, not where it lies.
-        return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
+        chosen = self.model_copy(update={"psf": None}).model_dump_json()
+        return hashlib.sha256(f"{chosen} {files} torch {torch.__version__}".encode()).hexdigest()
 
     @property
     def psf_file(self) -> PsfFile | None:
@@ -101,160 +203,3 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         return PsfFile(self.psf, self.psf_pitch, self.psf_distance)
 
 
-class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
-    """Settings of a fit of one classifier to many masks, each used for a moment only."""
-
-    data: str = "mnist"
-    embedding: str = "24x32"
-    placement: Literal["centred", "anywhere"] = "centred"
-    """``anywhere``: the object lies anywhere fully in the field of view."""
-    exponent: Positive = 1.0
-    """Masks are ``u ** exponent`` for uniform ``u``, rounded to the panel's levels."""
-    spread: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Learn a range of ``u`` for each sub-pixel, this much to both sides of a centre."""
-    misalignment: Misalignment | None = Misalignment()
-    model_error: NotNegative = 0.0
-    """Relative error of the response that the decoder expects."""
-    classifier: str = "Scene32"
-    masks: Count = 100
-    """Masks that each view of the training images is measured behind."""
-    validation_masks: Count = 20
-    seed: Seed = 0
-    recipe: Recipe = Recipe()
-
-    def fingerprint(self, source: Source) -> str:
-        """SHA-256 of the settings and of the data: two fits are the same if these are."""
-        return _digest(self.model_dump_json(), sorted(source.digests().items()))
-
-
-def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
-    text = f"{chosen} {files} torch {torch.__version__}"
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def load_settings(
-    path: Path | None,
-    overrides: Mapping[str, Any],
-    *,
-    found: str | None = None,
-    colour: bool = False,
-) -> Settings:
-    """Read the settings of ``path``, with ``overrides`` in the place of what it says.
-
-    Args:
-        path: TOML file; None for the defaults alone.
-        overrides: values by the names of :class:`Settings`; those of the recipe under ``recipe``,
-            as in the file.
-        found: somebody's own pictures, by that name of a data set: used where nothing names one,
-            with a classifier that suits few pictures.
-        colour: True where the data set has colour.
-
-    Raises:
-        TrainingError: a file that is missing or no TOML, an unknown key, or a bad value.
-    """
-    content = _read(path)
-    if found is not None and "data" not in content:
-        content = {"data": found, "classifier": OWN_CLASSIFIER} | content
-    table = content.pop("recipe", {})
-    if not isinstance(table, str | dict):
-        raise TrainingError("recipe is not valid: use a name or a table")
-    recipe = {"base": table} if isinstance(table, str) else _with_nulls(Recipe, table)
-    recipe |= overrides.get("recipe", {})
-    content |= {key: value for key, value in overrides.items() if key != "recipe"}
-    if isinstance(content.get("psf"), str):
-        content["psf"] = Path(content["psf"])
-    with _refused("settings" if path is None else str(path)):
-        # Names first: which recipe a name stands for depends on them.
-        settings = Settings.model_validate(content)
-        situation = Situation(
-            settings.data,
-            settings.encoder,
-            settings.embedding,
-            settings.classifier,
-            settings.change,
-            colour,
-        )
-        base = find_recipe(str(recipe.pop("base", "default")), situation)
-        merged = _merge(base.model_dump(), recipe)
-        return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
-
-
-def load_fresh_settings(
-    path: Path | None,
-    overrides: Mapping[str, Any],
-    *,
-    found: str | None = None,
-    colour: bool = False,
-) -> FreshSettings:
-    """Read the settings of ``path``, with ``overrides`` in their place, over those of the task.
-
-    Args:
-        path: TOML file; None for a task alone.
-        overrides: values by the names of :class:`FreshSettings`, and ``task``.
-        found: data set that the folder was seen to hold; used where nothing names one or a task.
-        colour: True where the data set has colour.
-
-    Raises:
-        TrainingError: a file that is missing or no TOML, an unknown task or key, or a bad value.
-    """
-    content = _merge(_with_nulls(FreshSettings, _read(path)), overrides)
-    if found is not None and "task" not in content:
-        content = {"data": found} | content
-    task = str(content.pop("task", "mnist_24x32"))
-    require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
-    merged = _merge(TASKS[task], content)
-    table = merged.pop("recipe", {})
-    require(isinstance(table, dict), "recipe is not valid: use a table")
-    base = scenes(str(merged.get("data", "mnist")), colour=colour)
-    with _refused(f"task {task}" if path is None else str(path)):
-        recipe = Recipe.model_validate(_merge(base.model_dump(), _with_nulls(Recipe, table)))
-        return FreshSettings.model_validate(merged | {"recipe": recipe})
-
-
-@contextmanager
-def _refused(where: str) -> Iterator[None]:
-    """Say in one line which of the settings from ``where`` is not valid, and why."""
-    try:
-        yield
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        reason = first["msg"].removeprefix("Value error, ")
-        # Several settings that do not fit together have no place, and the reason names them.
-        name = ".".join(str(step) for step in first["loc"])
-        said = f"{name} is not valid: {reason}" if name else reason
-        raise TrainingError(f"{where}: {said}") from None
-
-
-def _read(path: Path | None) -> dict[str, Any]:
-    if path is None:
-        return {}
-    try:
-        return tomllib.loads(path.read_text())
-    except FileNotFoundError:
-        raise TrainingError(f"{path} is missing: give a TOML file as --config") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise TrainingError(f"{path} is not a TOML file ({error}): mend it") from None
-
-
-def _with_nulls(model: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
-    """``table`` with None where it says "none" and ``model`` may have it."""
-    optional = {
-        name
-        for name, field in model.model_fields.items()
-        if type(None) in get_args(field.annotation)
-    }
-    return {
-        name: None if name in optional and value == "none" else value
-        for name, value in table.items()
-    }
-
-
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with ``changes`` in it, table by table."""
-    merged = dict(base)
-    for key, value in changes.items():
-        inner = merged.get(key)
-        merged[key] = (
-            _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
-        )
-    return merged

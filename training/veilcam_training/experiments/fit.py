@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -20,7 +19,7 @@ from veilcam_optics.simulation.check import check
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.bundle import Accuracy, LightPlan, TransferError
 from veilcam_training.bundle.hiding import LEAST_PINHOLE, MARGIN
-from veilcam_training.config.settings import FreshSettings, Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images, Source, Split, split
 from veilcam_training.encoders import LearnedMask, Mask, Setup
 from veilcam_training.encoders.fresh import FreshCamera
@@ -36,9 +35,8 @@ from veilcam_training.files import read_private, write_private
 from veilcam_training.hiding.eye import Eye, drawn_eye
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
-from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.evaluation import evaluate
-from veilcam_training.trainer.loop import Fit, fit
+from veilcam_training.trainer.loop import Fit, fit, load_checkpoint, save_checkpoint
+from veilcam_training.trainer.step import evaluate
 from veilcam_training.transforms.scene import Identity
 
 WRONG_KEY_IMAGES = 1000
@@ -50,18 +48,16 @@ COPIES = (0.95, 1.25)
 """Least counts of copies, as shares of those of random masks: of the first attempt, and of a second
 one where an eye sees the scene all the same."""
 SECOND: Mapping[str, object] = {"optimiser": "adam", "rate": 1e-3, "weight_decay": 0.0}
-"""Changes of the recipe in the second stage of a fit."""
+"""Changes of the settings in the second stage of a fit."""
 TEST_MASKS = 200
 """Fresh masks that the test set is spread over, unless it is said."""
-
-SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
 
 
 @dataclass(frozen=True)
 class FitResult:
     """A fit and its one look at the test set."""
 
-    settings: Settings
+    settings: FitSettings
     fit: Fit
     accuracy: Accuracy
     predictions: Tensor
@@ -84,7 +80,7 @@ class FitResult:
 class FreshResult:
     """A fit for fresh masks and its one look at the test set."""
 
-    settings: FreshSettings
+    settings: FitSettings
     fit: Fit
     camera: FreshCamera
     accuracy: Accuracy
@@ -100,7 +96,7 @@ class FreshResult:
 
 
 def run_fit(
-    settings: Settings,
+    settings: FitSettings,
     source: Source,
     camera: Camera,
     *,
@@ -125,7 +121,7 @@ def run_fit(
     """
     parts, test = _read(source, device, training)
     model = make_model(settings, source, camera).to(device)
-    eye = _eye(model) if settings.recipe.hidden else None
+    eye = _eye(model) if settings.hidden else None
     for attempt, least in enumerate((0.0,) if eye is None else COPIES):
         if attempt:
             model = make_model(settings, source, camera).to(device)
@@ -133,7 +129,7 @@ def run_fit(
             model.encoder.hide(least)
         prepare(model, settings, parts.training)
         again = attempt + 1 < len(COPIES)
-        if again and model.measures_once and not settings.recipe.end_to_end and _seen(eye, model):
+        if again and model.measures_once and not settings.end_to_end and _seen(eye, model):
             continue  # what is learned from now on is the classifier alone
         fitted = _in_stages(
             model,
@@ -179,21 +175,20 @@ def _seen(eye: Eye | None, model: LenslessClassifier) -> bool:
 def _in_stages(
     model: LenslessClassifier,
     parts: Split,
-    settings: Settings,
+    settings: FitSettings,
     *,
     checkpoint: Path | None,
     fingerprint: str,
     callbacks: Sequence[Callback],
 ) -> Fit:
     """Fit the classifier, and then mask and classifier together where that is asked for."""
-    recipe, seed = settings.recipe, settings.seed
     go_on = partial(fit, fingerprint=fingerprint, callbacks=callbacks)
-    fitted = go_on(model, parts, recipe, seed, checkpoint=checkpoint)
-    if not (recipe.end_to_end and isinstance(model.encoder, LearnedMask)):
+    fitted = go_on(model, parts, settings, checkpoint=checkpoint)
+    if not (settings.end_to_end and isinstance(model.encoder, LearnedMask)):
         return fitted
     model.encoder.hold(held=False)
-    second = recipe.model_copy(update={**SECOND, "epochs": math.ceil(recipe.epochs / 2)})
-    return go_on(model, parts, second, seed, checkpoint=_numbered(checkpoint, 9))
+    second = settings.model_copy(update={**SECOND, "epochs": math.ceil(settings.epochs / 2)})
+    return go_on(model, parts, second, checkpoint=_numbered(checkpoint, 9))
 
 
 def _numbered(checkpoint: Path | None, number: int) -> Path | None:
@@ -267,7 +262,7 @@ def _by_factors(model: Model) -> LightOperator:
 
 
 def run_fresh(
-    settings: FreshSettings,
+    settings: FitSettings,
     source: Source,
     camera: Camera,
     *,
@@ -302,9 +297,7 @@ def run_fresh(
     fitted = fit(
         model,
         parts,
-        settings.recipe,
-        settings.seed,
-        masks=(settings.masks, settings.validation_masks),
+        settings,
         checkpoint=None if work is None else work / "fit.checkpoint",
         fingerprint=fingerprint,
         callbacks=callbacks,
@@ -348,7 +341,7 @@ def _statistics(
     return statistics
 
 
-def settle_seed(settings: SettingsT, work: Path | None) -> SettingsT:
+def settle_seed(settings: FitSettings, work: Path | None) -> FitSettings:
     """Return ``settings`` with their own seed, or else with one that is drawn.
 
     A mask can be made again by whoever knows its seed, so none is the same for everybody.

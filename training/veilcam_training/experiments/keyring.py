@@ -21,7 +21,7 @@ from veilcam_training.bundle import (
     read_bundle,
     write_bundle,
 )
-from veilcam_training.config.settings import FreshSettings, Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
 from veilcam_training.encoders.fresh import FreshCamera
@@ -44,7 +44,7 @@ _SHOWN = 10_000
 
 
 def fit_keyring(
-    settings: Settings,
+    settings: FitSettings,
     pairs: int,
     source: Source,
     camera: Camera,
@@ -90,7 +90,7 @@ def fit_keyring(
     return as_bundle([results[index] for index in range(pairs)], source, camera)
 
 
-def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
+def check_pairs(settings: FitSettings, source: Source, camera: Camera) -> None:
     """Refuse before the fit what no bundle can hold: one is written without a fit, and read.
 
     Raises:
@@ -104,7 +104,7 @@ def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
     )
 
 
-def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None:
+def check_fresh(settings: FitSettings, source: Source, camera: Camera) -> None:
     """Return the same of a fit for fresh masks."""
     statistics = no_statistics(settings, camera, source.scene, colour=source.colour)
     model = make_fresh_model(settings, source, camera, statistics)
@@ -125,7 +125,7 @@ def _write_and_read(bundle: Bundle) -> None:
             raise TrainingError(f"no bundle can hold what would be fitted: {reason}") from None
 
 
-def _check_binning(settings: Settings) -> None:
+def _check_binning(settings: FitSettings) -> None:
     require(
         settings.binning != "point",
         "binning 'point' is for comparison alone, a device averages over its pixels: "
@@ -137,7 +137,7 @@ def _check_binning(settings: Settings) -> None:
 class _Task:
     """One pair."""
 
-    settings: Settings
+    settings: FitSettings
     checkpoint: Path | None
     callbacks: Sequence[Callback]
 

@@ -5,7 +5,7 @@ import torch
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.decoding import MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_training.config.settings import FreshSettings, Settings, parse_embedding
+from veilcam_training.config.settings import FitSettings, FreshMasks, parse_embedding
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_encoder
 from veilcam_training.encoders.estimate import SceneEstimate
@@ -16,14 +16,14 @@ from veilcam_training.encoders.fresh import (
     pooled,
     scene_statistics,
 )
-from veilcam_training.errors import require
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.models.classifiers import SceneTask, Task, make_layers, reads_scenes
 from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.transforms.scene import Anywhere, Identity, Transform, make_transform
 
 
-def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
+def make_model(settings: FitSettings, source: Source, camera: Camera) -> LenslessClassifier:
     """Return the model that ``settings`` describe, not fitted yet.
 
     One that reads the estimated scene knows nothing of scenes yet, see :func:`prepare`.
@@ -40,56 +40,56 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         colour=source.colour,
         point_binning=settings.binning == "point",
         finer=change.finer,
-        tolerance=settings.recipe.tolerance,
+        tolerance=settings.tolerance,
     )
     encoder = make_encoder(
         settings.encoder,
         setup,
         stream(settings.seed, "encoder"),
         psf=settings.psf_file,
-        errors=settings.recipe.panel_errors,
-        pinhole=settings.recipe.mask_start == "pinhole",
+        errors=settings.panel_errors,
+        pinhole=settings.mask_start == "pinhole",
     )
-    recipe, estimate = settings.recipe, None
+    estimate: SceneEstimate | None = None
     classes = len(source.labels)
     if reads_scenes(settings.classifier) and not setup.finer:
-        estimate = SceneEstimate(encoder, recipe.snr_db, recipe.rank, recipe.pooling)
+        estimate = SceneEstimate(encoder, settings.snr_db, settings.rank, settings.pooling)
     task = Task(
         channels=setup.channels,
         rows=embedding.rows,
         columns=embedding.columns,
         classes=classes,
         rectified=encoder.trainable,
-        normalisation=settings.recipe.normalisation,
+        normalisation=settings.normalisation,
         gain=white_gain(encoder),
-        exposure=settings.recipe.exposure,
+        exposure=settings.exposure,
         estimate=None
         if estimate is None
         else (_scene_task(estimate.scene, setup.channels, classes), estimate.layers),
     )
     require(
-        estimate is None or not recipe.panel_errors.any,
+        estimate is None or not settings.panel_errors.any,
         "a Scene classifier is fitted behind an ideal panel: leave out panel_errors, or use "
         "another classifier",
     )
     require(
-        not recipe.end_to_end or estimate is not None,
+        not settings.end_to_end or estimate is not None,
         "only a Scene classifier has a second stage: leave out end_to_end",
     )
-    layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
+    layers = make_layers(settings.classifier, task, dropout=settings.dropout)
     with seeded(settings.seed, "classifier"):
         return LenslessClassifier(
             encoder,
             layers,
-            settings.recipe.snr_db,
+            settings.snr_db,
             change=change,
-            mixed_precision=settings.recipe.precision == "mixed",
-            whitened=settings.recipe.normalisation == "white",
+            mixed_precision=settings.precision == "mixed",
+            whitened=settings.normalisation == "white",
             estimate=estimate,
         )
 
 
-def prepare(model: LenslessClassifier, settings: Settings, training: Images) -> None:
+def prepare(model: LenslessClassifier, settings: FitSettings, training: Images) -> None:
     """Prepare a fit: a model that reads the estimate of scenes is told their statistics.
 
     Then its mask is learned, and held.
@@ -107,7 +107,7 @@ def prepare(model: LenslessClassifier, settings: Settings, training: Images) -> 
         pooling=1,
         rank=model.estimate.rank,
         seed=settings.seed,
-        mirrored=settings.recipe.jitter.mirror,
+        mirrored=settings.jitter.mirror,
     )
     model.estimate.learn(statistics)
     if isinstance(model.encoder, LearnedMask):
@@ -129,7 +129,7 @@ def white_gain(encoder: LinearEncoder) -> float:
 
 
 def make_fresh_camera(
-    settings: FreshSettings,
+    settings: FitSettings,
     camera: Camera,
     image: Scene,
     statistics: SceneStatistics,
@@ -145,28 +145,28 @@ def make_fresh_camera(
         statistics: public statistics of the decoded scenes; see :func:`fresh_statistics`.
         colour: True for images in colour.
     """
-    shown, recipe = _fresh_change(settings, camera, image).scene, settings.recipe
-    require(recipe.snr_db is not None, "a decoder expects noise: give snr_db a number")
+    shown, fresh = _fresh_change(settings, camera, image).scene, fresh_masks(settings)
+    require(settings.snr_db is not None, "a decoder expects noise: give snr_db a number")
     frame = SceneFrame(
         camera,
-        pooled(shown, recipe.pooling),
+        pooled(shown, settings.pooling),
         parse_embedding(settings.embedding),
         statistics,
-        MeasurementNoise(recipe.snr_db or 0.0, settings.model_error),
+        MeasurementNoise(settings.snr_db or 0.0, fresh.model_error),
     )
     source: MaskDistribution | LearnedRange
-    if settings.spread is None:
-        source = MaskDistribution.power(camera, settings.exponent)
+    if fresh.spread is None:
+        source = MaskDistribution.power(camera, fresh.exponent)
     else:
         centres = stream(settings.seed, "centres")
-        source = LearnedRange(camera, settings.exponent, settings.spread, centres)
-    schedule = MaskSchedule(settings.seed, settings.misalignment)
-    setup = Setup(camera, shown, frame.embedding, colour=colour, tolerance=recipe.tolerance)
+        source = LearnedRange(camera, fresh.exponent, fresh.spread, centres)
+    schedule = MaskSchedule(settings.seed, fresh.misalignment)
+    setup = Setup(camera, shown, frame.embedding, colour=colour, tolerance=settings.tolerance)
     return FreshCamera(frame, source, setup, schedule)
 
 
 def make_fresh_model(
-    settings: FreshSettings, source: Source, camera: Camera, statistics: SceneStatistics
+    settings: FitSettings, source: Source, camera: Camera, statistics: SceneStatistics
 ) -> FreshClassifier:
     """Return the model for fresh masks that ``settings`` describe, not fitted yet.
 
@@ -181,34 +181,45 @@ def make_fresh_model(
             encoder,
             layers,
             _fresh_change(settings, camera, source.scene),
-            mixed_precision=settings.recipe.precision == "mixed",
+            mixed_precision=settings.precision == "mixed",
         )
 
 
 def fresh_statistics(
-    settings: FreshSettings, camera: Camera, image: Scene, training: Images
+    settings: FitSettings, camera: Camera, image: Scene, training: Images
 ) -> SceneStatistics:
     """Statistics of decoded scenes, from training images placed as they will be."""
     return scene_statistics(
         training,
         _fresh_change(settings, camera, image),
-        pooling=settings.recipe.pooling,
-        rank=settings.recipe.rank,
+        pooling=settings.pooling,
+        rank=settings.rank,
         seed=settings.seed,
-        mirrored=settings.recipe.jitter.mirror,
+        mirrored=settings.jitter.mirror,
     )
 
 
 def no_statistics(
-    settings: FreshSettings, camera: Camera, image: Scene, *, colour: bool
+    settings: FitSettings, camera: Camera, image: Scene, *, colour: bool
 ) -> SceneStatistics:
     """Statistics of the same shape of black scenes, for a model that is not fitted."""
-    scene = pooled(_fresh_change(settings, camera, image).scene, settings.recipe.pooling)
+    scene = pooled(_fresh_change(settings, camera, image).scene, settings.pooling)
     black = torch.zeros((3 if colour else 1) * scene.rows * scene.columns)
     return SceneStatistics(black, black[:, None], black + 1)
 
 
-def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
-    if settings.placement == "centred":
+def _fresh_change(settings: FitSettings, camera: Camera, image: Scene) -> Transform:
+    if fresh_masks(settings).placement == "centred":
         return Identity(image)
-    return Anywhere(image, camera, settings.recipe.pooling)
+    return Anywhere(image, camera, settings.pooling)
+
+
+def fresh_masks(settings: FitSettings) -> FreshMasks:
+    """Return the masks of a fit for fresh masks.
+
+    Raises:
+        TrainingError: the fit has one mask that stays.
+    """
+    if settings.fresh is None:
+        raise TrainingError("the settings have no fresh masks: give them a table [fresh]")
+    return settings.fresh

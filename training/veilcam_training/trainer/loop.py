@@ -1,7 +1,9 @@
-"""Fitting encoder and classifier together."""
+"""Fitting encoder and classifier together; a fit killed at any moment can be taken up again."""
 
 import copy
 import dataclasses
+import io
+import pickle
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -12,15 +14,23 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Split
+from veilcam_training.errors import require
+from veilcam_training.files import read_private, unreadable, write_private
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.scene import begin, confidence_factor
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
-from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.evaluation import evaluate, judge, logits_of, measure
-from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
+from veilcam_training.trainer.step import (
+    Inputs,
+    evaluate,
+    judge,
+    logits_of,
+    make_optimiser,
+    measure,
+    train_step,
+)
 
 
 @dataclass(frozen=True)
@@ -35,10 +45,8 @@ class Fit:
 def fit(
     model: LenslessClassifier,
     split: Split,
-    recipe: Recipe,
-    seed: int,
+    settings: FitSettings,
     *,
-    masks: tuple[int, int] | None = None,
     checkpoint: Path | None = None,
     fingerprint: str = "",
     callbacks: Sequence[Callback] = (),
@@ -46,16 +54,13 @@ def fit(
     """Fit ``model`` in place.
 
     The validation part selects the epoch; there is no test set here to look at. With the same
-    model, data, recipe and seed the result is the same, also when the fit was broken off and taken
-    up again from its checkpoint.
+    model, data and settings the result is the same, also when the fit was broken off and taken up
+    again from its checkpoint.
 
     Args:
         model: freshly made, on the device that is to be used.
         split: images to fit to and to select with.
-        recipe: settings of the fit.
-        seed: seed of the order of the images, the noise and dropout.
-        masks: greatest numbers of fresh masks that the training part, and the validation part, is
-            measured behind; see :func:`veilcam_training.trainer.evaluation.measure`.
+        settings: settings of the fit.
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: digest of all that the result depends on; guards the checkpoint.
         callbacks: called after every step and epoch.
@@ -63,15 +68,15 @@ def fit(
     Raises:
         TrainingError: a checkpoint of another fit, or a loss that is no number.
     """
-    training, validation = masks or (None, None)
-    inputs = Inputs(model, split.training, recipe, seed, masks=training)
+    seed, fresh = settings.seed, settings.fresh
+    inputs = Inputs(model, split.training, settings)
     if inputs.begun_with is not None:
         begin(model.classifier, inputs.begun_with)
-    average = MovingAverage(model, recipe.averaging) if recipe.averaging else None
-    state = _State(model, recipe, average)
+    average = MovingAverage(model, settings.averaging) if settings.averaging else None
+    state = _State(model, settings, average)
     if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
         state.load(saved)
-    batches = None if validation is None else min(validation, len(split.validation))
+    batches = None if fresh is None else min(fresh.validation_masks, len(split.validation))
     held: Tensor | None = None
     if model.measures_once:
         held = measure(model, split.validation, seed, "validation", batches=batches)
@@ -105,10 +110,10 @@ class _State:
     """All that changes during a fit."""
 
     def __init__(
-        self, model: LenslessClassifier, recipe: Recipe, average: MovingAverage | None
+        self, model: LenslessClassifier, settings: FitSettings, average: MovingAverage | None
     ) -> None:
-        self.model, self.recipe, self.average = model, recipe, average
-        self.optimiser = make_optimiser(model, recipe)
+        self.model, self.settings, self.average = model, settings, average
+        self.optimiser = make_optimiser(model, settings)
         self.history: list[Epoch] = []
         self.best_weights: dict[str, Tensor] = {}
 
@@ -118,12 +123,12 @@ class _State:
 
     @property
     def is_over(self) -> bool:
-        recipe = self.recipe
-        if self.next_epoch >= recipe.epochs:
+        settings = self.settings
+        if self.next_epoch >= settings.epochs:
             return True
-        if recipe.patience is None or not self.history:
+        if settings.patience is None or not self.history:
             return False
-        return self.next_epoch - 1 - self.best.number >= recipe.patience
+        return self.next_epoch - 1 - self.best.number >= settings.patience
 
     @property
     def best(self) -> Epoch:
@@ -164,14 +169,14 @@ def _run_epoch(
     callbacks: Iterable[Callback],
 ) -> tuple[float, float]:
     """One pass over the training images; mean loss and accuracy."""
-    recipe, number, count = state.recipe, state.next_epoch, len(labels)
+    settings, number, count = state.settings, state.next_epoch, len(labels)
     order = torch.randperm(count, generator=stream(seed, "order", number)).to(labels.device)
-    batch = min(recipe.batch, count)
+    batch = min(settings.batch, count)
     steps = count // batch  # what does not fill a batch waits for another epoch's order
     total, right = 0.0, 0.0
     state.model.train()
     for step in range(steps):
-        factor = recipe.rate_factor((number + step / steps) / recipe.epochs)
+        factor = settings.rate_factor((number + step / steps) / settings.epochs)
         for group in state.optimiser.param_groups:
             group["lr"] = group["peak"] * factor
         loss, hits = train_step(
@@ -179,9 +184,43 @@ def _run_epoch(
             inputs,
             order[step * batch : (step + 1) * batch],
             state.optimiser,
-            label_smoothing=recipe.label_smoothing,
+            label_smoothing=settings.label_smoothing,
         )
         total, right = total + loss, right + hits
         for callback in callbacks:
             callback.step(number, step + 1, steps)
     return total / steps, right / (steps * batch)
+
+
+def save_checkpoint(path: Path, fingerprint: str, state: dict[str, Any]) -> None:
+    """Write ``state`` so that ``path`` always holds a whole checkpoint, the old or the new one.
+
+    It is for its owner alone: it may hold masks, which are the camera's secret.
+    """
+    buffer = io.BytesIO()
+    torch.save({"fingerprint": fingerprint, "state": state}, buffer)
+    write_private(path, buffer.getvalue())
+
+
+def load_checkpoint(path: Path, fingerprint: str) -> dict[str, Any] | None:
+    """State of the checkpoint at ``path``, or None where there is none.
+
+    Loading runs no code: torch takes nothing but tensors and plain values.
+
+    Raises:
+        TrainingError: it cannot be read, or belongs to another fit than ``fingerprint``.
+    """
+    data = read_private(path)
+    if data is None:
+        return None
+    try:
+        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError):  # whole, so another torch wrote it
+        raise unreadable(path, "not by this version of torch") from None
+    require(
+        content["fingerprint"] == fingerprint,
+        f"checkpoint {path} is of another fit (other data, settings or seed): "
+        "remove it to start again, or use the settings that it was made with",
+    )
+    state: dict[str, Any] = content["state"]
+    return state
