@@ -29,10 +29,16 @@ MOST_WORK = 1.5e6
 _FILLS = ((1, 1), (4, 2), (5, 3), (6, 4), (10, 8), (3, 2))
 """Equal parts of a pitch, and how many in the middle are open."""
 
+BOXES = (1e-3, 1.0)
+"""Fills of embeddings; a smaller box is as good as a point."""
+
 _CYCLES = ((), (), (0, 1, 2), (2, 1, 0), (1,), (0, 0, 2))
 _SHARES = ((0.25, 0.5, 0.25), (0.25, 0.5, 0.25), (1 / 3, 1 / 3, 1 / 3), (0.0, 1.0, 0.0))
 _SIZES = (12, 6, 3, 1)
 """Most apertures a side; embeddings and scenes have half as many, and the first draw is kept."""
+
+_PARTS = 20_000
+"""Parts of a box along each side whose colours are counted."""
 
 _SPECTRUM, _LAYERS = 9, 6
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
@@ -133,7 +139,10 @@ def _draw(generator: random.Random, lengths: Lengths, most: int) -> Job:
         wavelengths=_colours(generator, lengths.wavelength),
     )
     scene = _scene(generator, camera, side, few)
-    embedding = Embedding(generator.randint(1, few), generator.randint(1, few))
+    shares = (1.0, 1.0, 0.5, log_uniform(generator, *BOXES), generator.choice(BOXES))
+    embedding = Embedding(
+        generator.randint(1, few), generator.randint(1, few), generator.choice(shares)
+    )
     conditions, effects = _conditions(generator, camera, scene)
     tolerance = log_uniform(generator, *TOLERANCES)
     return Job(camera, scene, embedding, conditions, tolerance, fills, effects)
@@ -250,7 +259,18 @@ def light(job: Job) -> Light:
     panel, sensor, built = camera.panel, camera.sensor, job.conditions.imperfections
     pixel = scene.height / scene.rows
     y, x = (
-        Axis(apertures, pitch, part, parts, size * sensor.pixel, pixels, points, pixel, shift)
+        Axis(
+            apertures,
+            pitch,
+            part,
+            parts,
+            size * sensor.pixel,
+            pixels,
+            points,
+            pixel,
+            shift,
+            embedding.fill,
+        )
         for apertures, size, pixels, points, pitch, (parts, part), shift in zip(
             camera.mask_shape,
             (sensor.rows, sensor.columns),
@@ -303,12 +323,13 @@ def _beams(job: Job) -> list[Beam]:
 
 
 def _bayer(job: Job) -> Array:
-    """Share of R, G and B in every embedding pixel of an RGGB sensor, by counting fine parts."""
+    """Share of R, G and B in every embedding value of an RGGB sensor, by counting fine parts."""
     sensor, embedding = job.camera.sensor, job.embedding
     shares = []
     for count, pixels in ((sensor.rows, embedding.rows), (sensor.columns, embedding.columns)):
-        odd = np.repeat(np.arange(count) % 2, pixels).reshape(pixels, count).mean(1)
-        shares.append(odd)
+        middles = (np.arange(pixels)[:, None] + 0.5) * count / pixels
+        parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+        shares.append((np.floor(middles + embedding.fill * count / pixels * parts) % 2).mean(1))
     y, x = shares[0][:, None], shares[1]
     red, blue = (1 - y) * (1 - x), y * x
     return np.stack([red, 1 - red - blue, blue])
