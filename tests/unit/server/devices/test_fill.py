@@ -37,12 +37,13 @@ def seen(camera: Camera, embedding: Embedding) -> npt.NDArray[np.float64]:
     weights, scene = random_mask(camera, generator), torch.rand(1, 30, generator=generator)
     model = Model(camera, SCENE, embedding, sampling=Sampling(dtype=torch.float64))
     light = scene.double() @ LightOperator(model, colour=True)(weights.double())
-    return light.reshape(3, *embedding.shape).numpy()
+    measured: npt.NDArray[np.float64] = light.reshape(3, *embedding.shape).numpy()
+    return measured
 
 
 def read(frame: npt.NDArray[np.float64], shape: tuple[int, ...], fill: float) -> Measurement:
     """Return what the driver makes of light on raw pixels, at the most exposure there can be."""
-    mode, clock = SensorMode(*frame.shape, line_time=0.0, frame_duration=0.0), Clock()
+    mode, clock = SensorMode(frame.shape[0], frame.shape[1], 0.0, 0.0), Clock()
     full_scale = 1.01 * float(frame.max())
     counts = frame / full_scale * (mode.white_level - mode.black_level) + mode.black_level
     assert DRIVER.emulate is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from fractions import Fraction
 
 import numpy as np
@@ -63,24 +62,6 @@ def test_small_box_holds_its_colours_in_equal_shares(raw: tuple[int, int], fill:
         apart = np.zeros((3, 2, 3))
         apart[channel] = 1000
         np.testing.assert_allclose(Binning(raw, (3, 2, 3), fill).means(frame), apart)
-
-
-@pytest.mark.parametrize(("raw", "fill"), [((20, 30), 0.2), ((20, 30), 0.4), ((18, 27), 2 / 9)])
-def test_small_box_is_in_the_middle(raw: tuple[int, int], fill: float) -> None:
-    """Of two boxes a side, pixels outside count nothing; inside, they all count alike."""
-    rows, columns = raw[0] // 2, raw[1] // 2
-    frame = RNG.integers(0, 65536, raw, np.uint16)
-    means = Binning(raw, (2, 2), fill).means(frame)
-    inside = np.zeros(raw, bool)
-    high, wide = fill * raw[0] / 2, fill * raw[1] / 2
-    for row in (raw[0] / 4, 3 * raw[0] / 4):
-        for column in (raw[1] / 4, 3 * raw[1] / 4):
-            down = slice(math.floor(row - high / 2), math.ceil(row + high / 2))
-            inside[down, math.floor(column - wide / 2) : math.ceil(column + wide / 2)] = True
-    assert not inside[rows // 4, columns // 4]
-    others = np.where(inside, frame, RNG.integers(0, 65536, raw, np.uint16))
-    assert np.array_equal(Binning(raw, (2, 2), fill).means(others), means)
-    assert not np.array_equal(Binning(raw, (2, 2), fill).means(65535 - frame), means)
 
 
 def test_brightest_frame_of_the_real_sensor_does_not_overflow() -> None:
