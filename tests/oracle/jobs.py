@@ -76,14 +76,14 @@ class Lengths:
 
 def draw(seed: int) -> Job:
     """The job of one seed: of smaller sizes, then of other lengths, until it is affordable."""
-    generator = random.Random(seed)
+    generator, fill = random.Random(seed), _fill(seed)
     unaffordable = 0
     while True:
         lengths = _lengths(generator)
         for most in _SIZES:
-            job = _draw(generator, lengths, most)
+            job = _draw(generator, lengths, most, fill)
             while not lit(job):
-                job = _draw(generator, lengths, most)
+                job = _draw(generator, lengths, most, fill)
             if light(job).affordable(MOST_WORK):
                 return replace(job, unaffordable=unaffordable)
         unaffordable += 1
@@ -98,10 +98,19 @@ def draw_everyday(seed: int) -> Job:
             log_uniform(generator, 0.5e-3, 10e-3),
             generator.uniform(450e-9, 650e-9),
         )
-        job = replace(_draw(generator, lengths, _SIZES[0]), conditions=Conditions(), effects=())
+        job = replace(
+            _draw(generator, lengths, _SIZES[0], 1.0), conditions=Conditions(), effects=()
+        )
         narrow = job.scene.height / 2 / job.scene.distance <= math.tan(math.pi / 6)
         if narrow and lit(job) and light(job).affordable(MOST_WORK):
             return job
+
+
+def _fill(seed: int) -> float:
+    """Fill of a seed's embedding, from numbers of its own: the rest is as without it."""
+    generator = random.Random(f"fill {seed}")
+    shares = (1.0, 1.0, 0.5, log_uniform(generator, *BOXES), generator.choice(BOXES))
+    return generator.choice(shares)
 
 
 def _lengths(generator: random.Random) -> Lengths:
@@ -116,7 +125,7 @@ def _lengths(generator: random.Random) -> Lengths:
     return Lengths(pitch, distance, wavelength)
 
 
-def _draw(generator: random.Random, lengths: Lengths, most: int) -> Job:
+def _draw(generator: random.Random, lengths: Lengths, most: int, fill: float) -> Job:
     rows, columns = generator.randint(1, most), generator.randint(1, most)
     few = max(1, most // 2)
     fills = generator.choice(_FILLS), generator.choice(_FILLS)
@@ -139,10 +148,7 @@ def _draw(generator: random.Random, lengths: Lengths, most: int) -> Job:
         wavelengths=_colours(generator, lengths.wavelength),
     )
     scene = _scene(generator, camera, side, few)
-    shares = (1.0, 1.0, 0.5, log_uniform(generator, *BOXES), generator.choice(BOXES))
-    embedding = Embedding(
-        generator.randint(1, few), generator.randint(1, few), generator.choice(shares)
-    )
+    embedding = Embedding(generator.randint(1, few), generator.randint(1, few), fill)
     conditions, effects = _conditions(generator, camera, scene)
     tolerance = log_uniform(generator, *TOLERANCES)
     return Job(camera, scene, embedding, conditions, tolerance, fills, effects)
