@@ -15,7 +15,6 @@ A fit for fresh masks has its own settings, beside the name of a ``task``, and t
 """
 
 import hashlib
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ import torch
 from pydantic import BaseModel, Field, ValidationError
 
 from veilcam_optics.camera.geometry import Embedding
+from veilcam_optics.errors import OpticsError
 from veilcam_training.config.recipes import (
     OWN_CLASSIFIER,
     TASKS,
@@ -46,15 +46,16 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 def parse_embedding(text: str) -> Embedding:
-    """Embedding from rows and columns, e.g. ``24x32``.
+    """Embedding from rows, columns and fill, as :meth:`.Embedding.parse` reads it.
 
     Raises:
-        TrainingError: not of that form, or zero.
+        TrainingError: not of that form, or out of range.
     """
-    match = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
-    if match is None:
-        raise TrainingError(f"embedding {text!r} is not valid: use ROWSxCOLUMNS, e.g. 24x32")
-    return Embedding(int(match[1]), int(match[2]))
+    try:
+        return Embedding.parse(text)
+    except OpticsError as error:
+        valid = str(error).partition(": ")[2]
+        raise TrainingError(f"embedding {text!r} is not valid: {valid}") from None
 
 
 class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
