@@ -64,7 +64,8 @@ class Bench:
     """All that the points of one size share."""
 
     def __init__(self, source: Source, size: str, epochs: int) -> None:
-        self.source, self.camera, embedding = source, Camera(), parse_embedding(size)
+        self.source, self.size, self.camera = source, size, Camera()
+        embedding = parse_embedding(size)
         self.training, self.test = source.training(), source.test()
         recipe = {"epochs": epochs}
         self.asked = {"embedding": size, "classifier": "Scene8", "seed": SEED, "recipe": recipe}
@@ -78,40 +79,37 @@ class Bench:
     def point(self, kind: str) -> dict[str, float]:
         """Percent read with the key and without it, and seen."""
         if kind == "fresh":
-            chosen = self.asked | {"task": f"mnist_{self.asked['embedding']}"}
-            settings = load_fresh_settings(None, chosen)
-            fitted = run_fresh(settings, self.source, self.camera, callbacks=[Log()])
-            key, read, seen = fitted.accuracy.value, *self._fresh(fitted.camera)
+            fresh = load_fresh_settings(None, self.asked | {"task": f"mnist_{self.size}"})
+            found = run_fresh(fresh, self.source, self.camera, callbacks=[Log()])
+            key, read, seen = found.accuracy.value, *self._fresh(found.camera)
         else:
             settings = load_settings(None, self.asked | {"encoder": KINDS[kind][0]})
             with patch.dict(ENCODERS, {"pinhole": open_pinhole}):
-                fit = run_fit(settings, self.source, self.camera, callbacks=[Log()])
-            key, read, seen = fit.accuracy.value, *self._attacked(fit.fit.model.encoder)
-            if isinstance(fit.fit.model.encoder, FixedEncoder):
-                read = max(read, key)
+                fitted = run_fit(settings, self.source, self.camera, callbacks=[Log()])
+            key = fitted.accuracy.value
+            read, seen = self._attacked(fitted.fit.model.encoder, key)
         values = {"key": key, "keyless": read, "seen": seen}
         return {name: round(100 * float(value), 2) for name, value in values.items()}
 
-    def _fresh(self, fresh: FreshCamera) -> tuple[float, float]:
-        def drawn(*purpose: str | int) -> Values:
-            return to_weights(fresh.draw_levels(*purpose), self.camera.panel)
-
-        return self._judged(
-            [drawn("attacked", number) for number in range(FRESH)],
-            # Where masks are drawn from is public.
-            lambda _, random: drawn("attacker", int(random.integers(2**62))),
-        )
-
-    def _attacked(self, encoder: Encoder) -> tuple[float, float]:
+    def _attacked(self, encoder: Encoder, key: float) -> tuple[float, float]:
         if isinstance(encoder, FixedEncoder):
             transfer = encoder.transfer().numpy()
             shown = noisy(self.scenes.reshape(len(self.scenes), -1) @ transfer)
-            return self.any.read(shown, self.test.labels), told_apart(self.eye.scenes, transfer)
+            read = max(key, self.any.read(shown, self.test.labels))
+            return read, told_apart(self.eye.scenes, transfer)
         masks = [to_weights(cast(Mask, encoder).levels(), self.camera.panel)]
         if not isinstance(encoder, LearnedMask):
             return self._judged(masks, lambda shape, random: random.random(shape, np.float32))
         others = [self._other(seed, encoder) for seed in range(SEED + 1, SEED + 1 + OTHERS)]
         return self._judged(masks, lambda _, random: others[random.integers(OTHERS)])
+
+    def _fresh(self, camera: FreshCamera) -> tuple[float, float]:
+        def drawn(purpose: str, number: int) -> Values:
+            return to_weights(camera.draw_levels(purpose, number), self.camera.panel)
+
+        masks = [drawn("attacked", number) for number in range(FRESH)]
+        # The distribution is public.
+        return self._judged(masks, lambda _, random: drawn("own", int(random.integers(2**62))))
 
     def _other(self, seed: int, fitted: LearnedMask) -> Values:
         """Mask that an attacker learns in the same way."""
