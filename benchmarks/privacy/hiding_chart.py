@@ -165,7 +165,7 @@ def draw_chart(values: Mapping[str, float], picture: Path) -> None:
     axes.set_xlabel("read by a machine without the key [%]")
     axes.set_ylabel("read with the key [%]")
     axes.text(101, CHANCE + 1, "a guess", horizontalalignment="right", color="#555555")
-    axes.text(48, 45, "a key adds nothing", rotation=45, color="#555555")
+    axes.text(75, 72, "a key adds nothing", rotation=45, color="#555555")
     title = "larger mark: larger size\n" + ", ".join(SIZES)
     axes.legend(title=title, loc="lower right", bbox_to_anchor=(1, 0.14), frameon=False)
     figure.colorbar(points, label="seen: picked out of 100 by an eye [%]")

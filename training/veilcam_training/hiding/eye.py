@@ -12,7 +12,7 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -155,7 +155,7 @@ class Eye:
             near.append(found)
             if len(near) == len(rows):
                 # A pinhole lets all colours through, whichever is on top: their evidence adds up.
-                np.maximum(best, sum(near).max(1) / np.sqrt(len(near)), out=best)
+                np.maximum(best, reduce(np.add, near).max(1) / np.sqrt(len(near)), out=best)
         return best
 
     def _prepare(self, channel: int, y: _Axis, x: _Axis) -> _Colour:
