@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from benchmarks.tables.table import Figures
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_optics.sensor.readout import photon_snr_db
+from veilcam_server.devices.imx477 import HALF
 
 SERVED: Figures = {
     f"served_{when}": ("daemon-calibration", f"digits that a daemon reads {words}", "{:.0%}")
@@ -32,3 +35,15 @@ CALIBRATED: Figures = {
     )
     for when, said in {"before": "as nominal", "after": "as calibrated"}.items()
 }
+
+
+def fills() -> str:
+    """Raw pixels and photons of an embedding value, by the fill of its box."""
+    lines = ["| embedding | raw pixels a value | dB by photons |", "|---|---|---|"]
+    for rows, columns in ((24, 32), (6, 8)):
+        for fill in (1.0, 0.5, 0.2, 0.1):
+            embedding = Embedding(rows, columns, fill)
+            pixels = fill**2 * HALF.rows * HALF.columns / embedding.size
+            snr_db = photon_snr_db(Camera(), embedding)
+            lines.append(f"| `{embedding}` | {pixels:,.0f} | {snr_db:.0f} |")
+    return "\n".join(lines) + "\n"

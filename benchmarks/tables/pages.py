@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
-from benchmarks.tables.camera import CALIBRATED, SERVED
+from benchmarks.tables.camera import CALIBRATED, SERVED, fills
 from benchmarks.tables.cells import CELLS_READ
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
@@ -28,6 +28,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/privacy-card.md": [cards, CARD_TIME],
     "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [REFUSED],
+    "docs/device.md": [fills],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],

@@ -29,10 +29,16 @@ MOST_WORK = 1.5e6
 _FILLS = ((1, 1), (4, 2), (5, 3), (6, 4), (10, 8), (3, 2))
 """Equal parts of a pitch, and how many in the middle are open."""
 
+BOXES = (1e-3, 1.0)
+"""Fills of embeddings; a smaller box is as good as a point."""
+
 _CYCLES = ((), (), (0, 1, 2), (2, 1, 0), (1,), (0, 0, 2))
 _SHARES = ((0.25, 0.5, 0.25), (0.25, 0.5, 0.25), (1 / 3, 1 / 3, 1 / 3), (0.0, 1.0, 0.0))
 _SIZES = (12, 6, 3, 1)
 """Most apertures a side; embeddings and scenes have half as many, and the first draw is kept."""
+
+_PARTS = 20_000
+"""Parts of a box along each side whose colours are counted."""
 
 _SPECTRUM, _LAYERS = 9, 6
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
@@ -70,14 +76,14 @@ class Lengths:
 
 def draw(seed: int) -> Job:
     """The job of one seed: of smaller sizes, then of other lengths, until it is affordable."""
-    generator = random.Random(seed)
+    generator, fill = random.Random(seed), _fill(seed)
     unaffordable = 0
     while True:
         lengths = _lengths(generator)
         for most in _SIZES:
-            job = _draw(generator, lengths, most)
+            job = _draw(generator, lengths, most, fill)
             while not lit(job):
-                job = _draw(generator, lengths, most)
+                job = _draw(generator, lengths, most, fill)
             if light(job).affordable(MOST_WORK):
                 return replace(job, unaffordable=unaffordable)
         unaffordable += 1
@@ -92,10 +98,19 @@ def draw_everyday(seed: int) -> Job:
             log_uniform(generator, 0.5e-3, 10e-3),
             generator.uniform(450e-9, 650e-9),
         )
-        job = replace(_draw(generator, lengths, _SIZES[0]), conditions=Conditions(), effects=())
+        job = replace(
+            _draw(generator, lengths, _SIZES[0], 1.0), conditions=Conditions(), effects=()
+        )
         narrow = job.scene.height / 2 / job.scene.distance <= math.tan(math.pi / 6)
         if narrow and lit(job) and light(job).affordable(MOST_WORK):
             return job
+
+
+def _fill(seed: int) -> float:
+    """Fill of a seed's embedding, from numbers of its own: the rest is as without it."""
+    generator = random.Random(f"fill {seed}")
+    shares = (1.0, 1.0, 0.5, log_uniform(generator, *BOXES), generator.choice(BOXES))
+    return generator.choice(shares)
 
 
 def _lengths(generator: random.Random) -> Lengths:
@@ -110,7 +125,7 @@ def _lengths(generator: random.Random) -> Lengths:
     return Lengths(pitch, distance, wavelength)
 
 
-def _draw(generator: random.Random, lengths: Lengths, most: int) -> Job:
+def _draw(generator: random.Random, lengths: Lengths, most: int, fill: float) -> Job:
     rows, columns = generator.randint(1, most), generator.randint(1, most)
     few = max(1, most // 2)
     fills = generator.choice(_FILLS), generator.choice(_FILLS)
@@ -133,7 +148,7 @@ def _draw(generator: random.Random, lengths: Lengths, most: int) -> Job:
         wavelengths=_colours(generator, lengths.wavelength),
     )
     scene = _scene(generator, camera, side, few)
-    embedding = Embedding(generator.randint(1, few), generator.randint(1, few))
+    embedding = Embedding(generator.randint(1, few), generator.randint(1, few), fill)
     conditions, effects = _conditions(generator, camera, scene)
     tolerance = log_uniform(generator, *TOLERANCES)
     return Job(camera, scene, embedding, conditions, tolerance, fills, effects)
@@ -250,7 +265,18 @@ def light(job: Job) -> Light:
     panel, sensor, built = camera.panel, camera.sensor, job.conditions.imperfections
     pixel = scene.height / scene.rows
     y, x = (
-        Axis(apertures, pitch, part, parts, size * sensor.pixel, pixels, points, pixel, shift)
+        Axis(
+            apertures,
+            pitch,
+            part,
+            parts,
+            size * sensor.pixel,
+            pixels,
+            points,
+            pixel,
+            shift,
+            embedding.fill,
+        )
         for apertures, size, pixels, points, pitch, (parts, part), shift in zip(
             camera.mask_shape,
             (sensor.rows, sensor.columns),
@@ -303,12 +329,13 @@ def _beams(job: Job) -> list[Beam]:
 
 
 def _bayer(job: Job) -> Array:
-    """Share of R, G and B in every embedding pixel of an RGGB sensor, by counting fine parts."""
+    """Share of R, G and B in every embedding value of an RGGB sensor, by counting fine parts."""
     sensor, embedding = job.camera.sensor, job.embedding
     shares = []
     for count, pixels in ((sensor.rows, embedding.rows), (sensor.columns, embedding.columns)):
-        odd = np.repeat(np.arange(count) % 2, pixels).reshape(pixels, count).mean(1)
-        shares.append(odd)
+        middles = (np.arange(pixels)[:, None] + 0.5) * count / pixels
+        parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+        shares.append((np.floor(middles + embedding.fill * count / pixels * parts) % 2).mean(1))
     y, x = shares[0][:, None], shares[1]
     red, blue = (1 - y) * (1 - x), y * x
     return np.stack([red, 1 - red - blue, blue])

@@ -203,7 +203,7 @@ def finest(chosen: Plan) -> Plan:
     height, width = camera.lit_sides(model.scene)
     mask = max(rows * camera.panel.pitch_y, columns * camera.panel.pitch_x)
     fringe = min(camera.wavelengths) * camera.distance / mask
-    pixel = min(camera.sensor.height / embedding.rows, camera.sensor.width / embedding.columns)
+    pixel = min(embedding.box(camera.sensor))
     used = model.with_sampling(
         reach=Reach(rows - 1, columns - 1),
         step=max(min(fringe / 4, pixel / 16), max(height, width) / _MOST_NODES),

@@ -49,6 +49,8 @@ class Axis:
     scene_pixels: int
     scene_pixel: float
     shift: float = 0.0
+    fill: float = 1.0
+    """Side of the averaged box in the middle of a pixel, as a share of the pixel."""
     scene_shift: float = 0.0
 
     @property
@@ -77,7 +79,11 @@ class Light:
             tilt = axis.scene_pixels * axis.scene_pixel / 2 / beam.scene_distance
             sine = min(1.0, side / math.hypot(side, self.distance) + math.sin(math.atan(tilt)))
             wanted = min(wanted, beam.wavelength / sine / LEAST_SAMPLES)
-        return min(wanted, self.distance / 6, axis.sensor / axis.pixels / 8)
+        # Light is averaged over a source's image and over a box: the wider one holds eight cells.
+        image = min(axis.scene_pixel * self.distance / b.scene_distance for b in self.beams)
+        pixel = axis.sensor / axis.pixels
+        box = min(pixel, max(axis.fill * pixel, image / self.sources, pixel / 16))
+        return min(wanted, self.distance / 6, box / 8)
 
     def cells(self, axis: Axis, finer: float = 1.0, times: int = 1) -> int:
         return times * max(1, math.ceil(axis.pitch / axis.parts / self.finest(axis) * finer))
@@ -246,14 +252,14 @@ def _turned(y: Array | float, x: Array | float, angle: float) -> tuple[Array, Ar
 
 
 def _trapezoids(axis: Axis, image: float, middle: Array | float, at: Array, width: float) -> Array:
-    """Density of an embedding pixel's mean, blurred by a box as long as ``image``.
+    """Density of the mean over an embedding pixel's box, blurred by a box as long as ``image``.
 
     Its middle is in pixels from the sensor's.
 
     It is the mean over ``width``, and so exact for light that is even over so much.
     """
-    side = axis.sensor / axis.pixels
-    away = at - middle * side
+    away = at - middle * axis.sensor / axis.pixels
+    side = axis.fill * axis.sensor / axis.pixels
     outer, inner = (side + image) / 2, abs(side - image) / 2
     found = np.zeros_like(away)
     for end, (sign, corner) in itertools.product(

@@ -66,7 +66,9 @@ def _holes(axis: Axis, nodes: int) -> Nodes:
 
 def _sensor(axis: Axis, nodes: int) -> Nodes:
     side = axis.sensor / axis.pixels
-    at, weights = _nodes((np.arange(axis.pixels) - (axis.pixels - 1) / 2) * side, side, nodes)
+    middles = (np.arange(axis.pixels) - (axis.pixels - 1) / 2) * side
+    side = axis.fill * side
+    at, weights = _nodes(middles, side, nodes)
     return at, weights / side
 
 

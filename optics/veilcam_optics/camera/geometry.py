@@ -5,11 +5,13 @@ the sensor's short side. The origin of every plane is the optical axis.
 """
 
 import math
+import re
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Self
 
 from veilcam_optics.errors import (
+    invalid,
     require,
     require_count,
     require_memory,
@@ -276,14 +278,21 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Embedding:
-    """The grid to which the whole sensor is binned: ``rows x columns`` area averages."""
+    """The grid to which the whole sensor is binned: ``rows x columns`` area averages.
+
+    The sensor is cut into equal embedding pixels. A value is the mean over a box in the middle of
+    one; a small box keeps detail that a full one averages away.
+    """
 
     rows: int = 24
     columns: int = 32
+    fill: float = 1.0
+    """Side of the box, as a share of the embedding pixel's, above 0 and at most 1."""
 
     def __post_init__(self) -> None:
         require_count("embedding.rows", self.rows)
         require_count("embedding.columns", self.columns)
+        require(0 < self.fill <= 1, "embedding.fill", self.fill, "", "a share above 0, at most 1")
         _require_held("embedding", self.rows, self.columns)
 
     @property
@@ -295,6 +304,29 @@ class Embedding:
     def size(self) -> int:
         """Number of values of one embedding."""
         return self.rows * self.columns
+
+    def box(self, sensor: Sensor) -> tuple[float, float]:
+        """Return height and width of the averaged boxes on a sensor [m]."""
+        return self.fill * sensor.height / self.rows, self.fill * sensor.width / self.columns
+
+    def __str__(self) -> str:
+        """Return the text form that :meth:`parse` reads, e.g. ``24x32`` or ``24x32@0.1``."""
+        fill = "" if self.fill == 1 else f"@{self.fill}"
+        return f"{self.rows}x{self.columns}{fill}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the embedding of a text: rows, columns and, unless it is 1, the fill.
+
+        Raises:
+            OpticsError: a text of another form, or a number that is out of range.
+        """
+        number, share = "([1-9][0-9]{0,3})", r"([0-9]*\.?[0-9]+(?:e-[0-9]+)?)"
+        match = re.fullmatch(f"{number}x{number}(?:@{share})?", text)
+        if match is None:
+            form = "ROWSxCOLUMNS or ROWSxCOLUMNS@FILL, e.g. 24x32 or 24x32@0.1"
+            raise invalid("embedding", text, "", form)
+        return cls(int(match[1]), int(match[2]), float(match[3] or 1))
 
 
 def _require_held(argument: str, rows: int, columns: int) -> None:

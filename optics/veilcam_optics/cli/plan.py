@@ -23,7 +23,11 @@ def print_plan(
     *,
     camera: Annotated[str, typer.Option(metavar="FILE", help=CAMERA_HELP)] = "paper",
     embedding: Annotated[
-        str, typer.Option(metavar="ROWSxCOLUMNS", help="Values read of a scene.")
+        str,
+        typer.Option(
+            metavar="ROWSxCOLUMNS[@FILL]",
+            help="Values read of a scene; FILL is the side of the averaged boxes, 1 by default.",
+        ),
     ] = "24x32",
     tolerance: Annotated[float, typer.Option(help="Relative L2 error at the embedding.")] = 1e-3,
     scene: Annotated[
@@ -68,12 +72,11 @@ def print_plan(
     """Print the cheapest way to compute embeddings to within a tolerance, effect by effect."""
     console = Console()
     try:
-        rows, columns = _shape("embedding", embedding)
         scene_rows, scene_columns = _shape("scene", scene)
         chosen = plan(
             _camera(camera, distance=distance, filters=filters, leakage=leakage),
             Scene(scene_rows, scene_columns, scene_height, scene_distance),
-            Embedding(rows, columns),
+            _embedding(embedding),
             tolerance,
             Conditions(
                 bandwidth=(bandwidth,) * 3,
@@ -113,6 +116,13 @@ def _camera(source: str, *, distance: float | None, filters: bool, leakage: floa
     if leakage is not None:
         panel = replace(panel, filter_leakage=leakage, filter_amplitudes=())
     return replace(camera, panel=panel, distance=camera.distance if distance is None else distance)
+
+
+def _embedding(text: str) -> Embedding:
+    try:
+        return Embedding.parse(text)
+    except OpticsError as error:
+        raise OpticsError(f"--{error}") from None
 
 
 def _shape(argument: str, text: str) -> tuple[int, int]:

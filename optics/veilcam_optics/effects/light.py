@@ -189,7 +189,7 @@ class Interference(Effect):
         distance, panel = actual_camera(model).distance, model.camera.panel
         apart = panel.pitch_y * (len(set(panel.filter_cycle)) or 1)
         fringe = max(model.camera.wavelengths) * distance / apart
-        pixel = model.camera.sensor.height / model.embedding.rows
+        pixel = model.embedding.box(model.camera.sensor)[0]
         return f"fringes of {fringe * 1e6:.3g} um, averaged over pixels of {pixel * 1e6:.3g} um"
 
 
@@ -327,9 +327,6 @@ class Binning(Effect):
 
     def reason(self, model: Model) -> str:
         """Pixels against structure."""
-        sensor, embedding = model.camera.sensor, model.embedding
-        pixel = max(sensor.height / embedding.rows, sensor.width / embedding.columns)
+        pixel = max(model.embedding.box(model.camera.sensor))
         image = model.scene.pixel_at_sensor(actual_camera(model))
-        return (
-            f"embedding pixels of {pixel * 1e6:.3g} um, scene pixels of {image * 1e6:.3g} um on it"
-        )
+        return f"boxes of {pixel * 1e6:.3g} um, scene pixels of {image * 1e6:.3g} um on them"

@@ -65,11 +65,9 @@ class Bayer(Effect):
 
     def reason(self, model: Model) -> str:
         """Pixels per pixel."""
-        sensor, embedding = model.camera.sensor, model.embedding
-        return (
-            f"an embedding pixel is {sensor.rows / embedding.rows:.4g} x "
-            f"{sensor.columns / embedding.columns:.4g} sensor pixels"
-        )
+        sensor = model.camera.sensor
+        rows, columns = (side / sensor.pixel for side in model.embedding.box(sensor))
+        return f"an embedding value averages {rows:.4g} x {columns:.4g} sensor pixels"
 
 
 class ShotNoise(Effect):

@@ -62,10 +62,7 @@ def shadow_error(model: Model, aperture: float) -> float:
     """
     camera = actual_camera(model)
     sensor, embedding = camera.sensor, model.embedding
-    box = max(
-        min(sensor.height / embedding.rows, sensor.width / embedding.columns),
-        model.scene.pixel_at_sensor(camera),
-    )
+    box = max(min(embedding.box(sensor)), model.scene.pixel_at_sensor(camera))
     wavelength, distance = max(camera.wavelengths), camera.distance
     lost = 2 * wavelength / (math.pi**2 * aperture) * math.atan(box / distance)
     return min(1.0, math.hypot(wavelength * distance / (aperture * box), lost))
@@ -85,7 +82,7 @@ def far_pairs(model: Model, axis: int) -> Tensor:
     panel, sensor, embedding = camera.panel, camera.sensor, model.embedding
     count = camera.mask_shape[axis]
     pitch, width = ((panel.pitch_y, panel.aperture_y), (panel.pitch_x, panel.aperture_x))[axis]
-    pixel = (sensor.height / embedding.rows, sensor.width / embedding.columns)[axis]
+    pixel = embedding.box(sensor)[axis]
     if not model.sampling.binning:
         pixel = 0.0
     image = model.scene.pixel_at_sensor(camera)
@@ -116,7 +113,7 @@ def affordable_reach(model: Model, axis: int, offsets: int) -> int:
     panel, sensor, embedding = camera.panel, camera.sensor, model.embedding
     count = camera.mask_shape[axis]
     pitch, width = ((panel.pitch_y, panel.aperture_y), (panel.pitch_x, panel.aperture_x))[axis]
-    pixel = (sensor.height / embedding.rows, sensor.width / embedding.columns)[axis]
+    pixel = embedding.box(sensor)[axis]
     side = pixel + model.scene.pixel_at_sensor(camera)
     shortest = float(min(beam.wavelength for beam in beams(model)))
     reach = 0
@@ -141,7 +138,7 @@ def fringe_step(model: Model, reach: Reach) -> float:
         panel.aperture_y + min(reach.rows, camera.window.rows - 1) * panel.pitch_y,
         panel.aperture_x + min(reach.columns, camera.window.columns - 1) * panel.pitch_x,
     )
-    pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
+    pixel = min(embedding.box(sensor))
     image = model.scene.pixel_at_sensor(camera)
     wanted = min(float(shortest) / apart / _NODES_IN_FRINGE, (pixel + image) / _NODES_IN_BOX)
     return max(wanted, smallest_step(model))
@@ -151,11 +148,12 @@ def resolved(model: Model) -> bool:
     """Return whether the fringes of the model's reach can be sampled."""
     camera = actual_camera(model)
     shortest = float(min(beam.wavelength for beam in beams(model))) * camera.distance
-    for side, width, count in (
-        (camera.sensor.height / model.embedding.rows, camera.panel.aperture_y, camera.window.rows),
-        (camera.sensor.width / model.embedding.columns, camera.panel.aperture_x, 1),
+    height, width = model.embedding.box(camera.sensor)
+    for side, aperture, count in (
+        (height, camera.panel.aperture_y, camera.window.rows),
+        (width, camera.panel.aperture_x, 1),
     ):
-        nodes_in_box = node_count(side + model.scene.pixel_at_sensor(camera), shortest / width)
+        nodes_in_box = node_count(side + model.scene.pixel_at_sensor(camera), shortest / aperture)
         if nodes_in_box * min(count, _LINES) * _OFFSETS > _MAX_VALUES:
             return False
     return fringe_step(model, model.sampling.reach) > 1.01 * smallest_step(model)

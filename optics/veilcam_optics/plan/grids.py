@@ -122,8 +122,7 @@ def grid_error(model: Model, oversampling: float) -> float:
         for wavelength in camera.wavelengths
     ):
         return 1.0
-    embedding = model.embedding
-    pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
+    pixel = min(model.embedding.box(sensor))
     error = _GRID_ERROR / cells_in_aperture(camera, oversampling) ** _GRID_ORDER
     aperture = min(panel.aperture_y, panel.aperture_x)
     spread = max(camera.wavelengths) * camera.distance / aperture

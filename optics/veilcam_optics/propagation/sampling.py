@@ -124,16 +124,17 @@ def fast_length(least: int) -> int:
     return int(next_fast_len(least, real=True))
 
 
-def area_average(values: Tensor, rows: int, columns: int) -> Tensor:
+def area_average(values: Tensor, rows: int, columns: int, fill: float = 1.0) -> Tensor:
     """Average arrays (..., n, m) over ``rows x columns`` equal boxes, fractions of samples exact.
 
     Args:
         values: Samples that fill the same rectangle as the boxes.
         rows: Boxes along y.
         columns: Boxes along x.
+        fill: Side of a box, as a share of the boxes' distance.
 
     Returns:
-        Shape (..., rows, columns); the mean is that of ``values``. Differentiable.
+        Shape (..., rows, columns); of full boxes the mean is that of ``values``. Differentiable.
 
     Raises:
         OpticsError: If a count is not a positive integer.
@@ -142,8 +143,8 @@ def area_average(values: Tensor, rows: int, columns: int) -> Tensor:
     require_count("columns", columns)
 
     def shares(boxes: int, samples: int) -> Tensor:
-        width = samples / boxes
-        low = axis(boxes, width, device=values.device) - width / 2
+        width = fill * samples / boxes
+        low = axis(boxes, samples / boxes, device=values.device) - width / 2
         return (coverage(low, low + width, samples, 1.0) / width).to(values.dtype)
 
     return shares(rows, values.shape[-2]) @ values @ shares(columns, values.shape[-1]).mT

@@ -7,7 +7,14 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 
 
 def transfer_boxes(
-    *, length: float, pixels: int, scene_pixels: int, image: float, cells: int, pitch: float
+    *,
+    length: float,
+    pixels: int,
+    fill: float = 1.0,
+    scene_pixels: int,
+    image: float,
+    cells: int,
+    pitch: float,
 ) -> Tensor:
     """Return the weight of each cell of one axis for each (scene pixel, embedding pixel).
 
@@ -17,6 +24,7 @@ def transfer_boxes(
     Args:
         length: side of the sensor [m], cut into ``pixels`` embedding pixels.
         pixels: embedding pixels along the axis.
+        fill: side of the averaged box of each, as a share of the pixel.
         scene_pixels: scene pixels along the axis.
         image: side of a scene pixel's geometric image on the sensor [m].
         cells: cells of the irradiance along the axis, centred.
@@ -25,8 +33,8 @@ def transfer_boxes(
     Returns:
         float64 (scene_pixels * pixels, cells), the scene pixel running slower.
     """
-    pixel = length / pixels
-    embedding = (torch.arange(pixels, dtype=torch.float64) - (pixels - 1) / 2) * pixel
+    embedding = (torch.arange(pixels, dtype=torch.float64) - (pixels - 1) / 2) * (length / pixels)
+    pixel = fill * length / pixels
     # A scene point at s falls at -s d2/d1 (inverted), so the offset to it is o + s d2/d1.
     scene = (torch.arange(scene_pixels, dtype=torch.float64) - (scene_pixels - 1) / 2) * image
     offsets = (scene[:, None] + embedding).reshape(-1, 1)
@@ -81,6 +89,7 @@ def axis_boxes(
         transfer_boxes(
             length=length,
             pixels=pixels,
+            fill=embedding.fill,
             scene_pixels=scene_pixels,
             image=scene.pixel_at_sensor(camera),
             cells=cells,

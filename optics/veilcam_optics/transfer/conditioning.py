@@ -37,7 +37,7 @@ class ConditioningMeter:
     def __init__(self, camera: Camera, scene: Scene, embedding: Embedding) -> None:
         rows, columns = min(embedding.rows, FINEST.rows), min(embedding.columns, FINEST.columns)
         self._transfer = make_transfer(
-            camera, scene, Embedding(rows, columns), like=np.empty(0, np.float32)
+            camera, scene, Embedding(rows, columns, embedding.fill), like=np.empty(0, np.float32)
         )
         # The same ones always: what is refused stays refused.
         drawn = np.random.default_rng(0).random((DRAWN, *camera.mask_shape), np.float32)

@@ -282,13 +282,8 @@ class GridLight:
         pitch = as_float(self.grid.pitch_y)
         fy = torch.fft.fftfreq(lengths[0], pitch, dtype=torch.float64, device=self.device)
         fx = torch.fft.rfftfreq(lengths[1], pitch, dtype=torch.float64, device=self.device)
-        sensor = self.camera.sensor
-        to_scene_y, from_pixel_y = self._boxes(
-            fy, self.scene.rows, sensor.height, embedding.rows, self.grid.rows
-        )
-        to_scene_x, from_pixel_x = self._boxes(
-            fx, self.scene.columns, sensor.width, embedding.columns, self.grid.columns
-        )
+        to_scene_y, from_pixel_y = self._boxes(fy, embedding, 0)
+        to_scene_x, from_pixel_x = self._boxes(fx, embedding, 1)
         flat = scenes.to(device=self.device, dtype=self.dtype).reshape(-1, *self.scene.shape)
         results = []
         for first in range(0, len(flat), _SCENES_AT_ONCE):
@@ -299,21 +294,21 @@ class GridLight:
             return flat.new_zeros((*scenes.shape[:-2], *embedding.shape))
         return torch.cat(results).reshape(*scenes.shape[:-2], *embedding.shape)
 
-    def _boxes(
-        self, frequency: Tensor, scene_count: int, extent: float, count: int, samples: int
-    ) -> tuple[Tensor, Tensor]:
+    def _boxes(self, frequency: Tensor, embedding: Embedding, along: int) -> tuple[Tensor, Tensor]:
         """Return frequencies x scene pixels and embedding pixels x frequencies, for one axis."""
+        box = embedding.box(self.camera.sensor)[along]
+        scene_count, samples = self.scene.shape[along], self.grid.shape[along]
         complex_dtype = complex_type(self.dtype)
         side = self.scene.pixel_at_sensor(self.camera)
         # Inverted, as through a pinhole: the first scene pixel lands at the far end.
         image = -axis(scene_count, side, device=self.device)
-        pixels = axis(count, extent / count, device=self.device)
+        pixels = axis(embedding.shape[along], box / embedding.fill, device=self.device)
         first = -(samples - 1) / 2 * as_float(self.grid.pitch_y)
         ramp_in = unit_phasor(-TURN * frequency[:, None] * image, complex_dtype)
         ramp_out = unit_phasor(TURN * (pixels[:, None] - first) * frequency, complex_dtype)
         # Each box is divided by its own area but the scene's by the area of the whole scene.
         scene_box = (torch.sinc(frequency * side) / scene_count).to(self.dtype)
-        pixel_box = torch.sinc(frequency * extent / count).to(self.dtype)
+        pixel_box = torch.sinc(frequency * box).to(self.dtype)
         return ramp_in * scene_box[:, None], ramp_out * pixel_box
 
     def _filtered(self, amplitudes: Tensor, channel: int) -> Tensor:

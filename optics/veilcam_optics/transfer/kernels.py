@@ -67,7 +67,7 @@ def box_kernel(
         products: (N, R) field products on the nodes ``start + n step``.
         start: first node [m].
         step: node distance [m].
-        pixel: side of an embedding pixel [m].
+        pixel: side of an embedding pixel's box [m].
         image: side of a scene pixel's image [m].
 
     Returns:
@@ -89,7 +89,7 @@ def shadow_kernel(offsets: Array, low: Array, high: Array, *, pixel: float, imag
         offsets: (O,) embedding pixel minus scene pixel's image [m].
         low: (R,) lower end of each shadow [m].
         high: (R,) upper end [m].
-        pixel: side of an embedding pixel [m].
+        pixel: side of an embedding pixel's box [m].
         image: side of a scene pixel's image [m].
 
     Returns:
@@ -129,6 +129,9 @@ EXACT = Approximation()
 _MAX_FIELD_VALUES = 1e8
 """Of all apertures at all nodes: 1.6 GB."""
 
+_POINT = 1e-6
+"""Least side of a box, as a share of the pixel: a difference over less has few digits."""
+
 
 class Axis(Generic[Array]):
     """One axis of camera and scene: the offsets, the integration nodes, and kernels made on them.
@@ -136,6 +139,7 @@ class Axis(Generic[Array]):
     Args:
         length: side of the sensor [m], cut into ``pixels`` embedding pixels.
         pixels: embedding pixels along this axis.
+        fill: side of the averaged box of each, as a share of the pixel.
         scene_pixels: scene pixels along this axis, each ``scene_pixel`` [m] wide.
         scene_pixel: side of a scene pixel, in the scene [m].
         scene_distance: scene to mask [m].
@@ -156,6 +160,7 @@ class Axis(Generic[Array]):
         *,
         length: float,
         pixels: int,
+        fill: float = 1.0,
         scene_pixels: int,
         scene_pixel: float,
         scene_distance: Scalar,
@@ -171,10 +176,13 @@ class Axis(Generic[Array]):
         like: Array,
     ) -> None:
         self._xp = xp = namespace(like)
-        self.pixel = length / pixels
+        pitch_on_sensor = length / pixels
+        self.pixel = pitch_on_sensor * max(fill, _POINT)
+        if approximation.point_binning:
+            self.pixel *= 1e-3
         self.image: Scalar = scene_pixel * distance / scene_distance
         # A scene point at s falls at -s d2/d1, so the offset to it is o + s d2/d1.
-        embedding = (xp.arange(pixels, dtype=xp.float64) - (pixels - 1) / 2) * self.pixel
+        embedding = (xp.arange(pixels, dtype=xp.float64) - (pixels - 1) / 2) * pitch_on_sensor
         scene = (xp.arange(scene_pixels, dtype=xp.float64) - (scene_pixels - 1) / 2)[:, None]
         self.offsets: Array = xp.reshape(scene * self.image + embedding, (-1,))
         points = (scene * scene_pixel + centre) / scene_distance
@@ -190,8 +198,6 @@ class Axis(Generic[Array]):
         self.source_distance: Scalar = math.inf if approximation.plane_wave else scene_distance
         self.distance: Scalar = distance
         self.shadow = approximation.shadow
-        if approximation.point_binning:
-            self.pixel *= 1e-3
         self.scale: Scalar = 1 / (self.pixel * scene_pixels * self.image)
         self._scene_distance, self._square = scene_distance, 1 + other
         self._axial = approximation.axial

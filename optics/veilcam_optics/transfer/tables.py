@@ -201,6 +201,7 @@ def make_axes(
     y: Axis[Array] = Axis(
         length=camera.sensor.height,
         pixels=embedding.rows,
+        fill=embedding.fill,
         scene_pixels=scene.rows,
         scene_pixel=scene.pixel,
         scene_distance=scene.distance,
@@ -218,6 +219,7 @@ def make_axes(
     x: Axis[Array] = Axis(
         length=camera.sensor.width,
         pixels=embedding.columns,
+        fill=embedding.fill,
         scene_pixels=scene.columns,
         scene_pixel=scene.pixel,
         scene_distance=scene.distance,

@@ -70,6 +70,7 @@ class EmulateSensor(Protocol):
         mode: SensorMode,
         *,
         shape: tuple[int, ...],
+        fill: float = 1.0,
         exposure: float,
         full_scale: float,
         clock: Callable[[], float],
@@ -81,6 +82,7 @@ class EmulateSensor(Protocol):
             light: gives raw frames.
             mode: mode of these frames.
             shape: shape of a measurement.
+            fill: side of the box that a value averages, as a share of its embedding pixel's.
             exposure: exposure of every frame [s].
             full_scale: measurement of saturated pixels.
             clock: monotonic time [s].
@@ -120,8 +122,8 @@ class SensorDriver:
     """Part of what libcamera calls it."""
     product: str
     """What to buy."""
-    open: Callable[[Settings, tuple[int, ...]], Sensor]
-    """Starts it, for measurements of a shape; raises :class:`DeviceError`."""
+    open: Callable[[Settings, tuple[int, ...], float], Sensor]
+    """Starts it, for measurements of a shape and a fill; raises :class:`DeviceError`."""
     emulate: EmulateSensor | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

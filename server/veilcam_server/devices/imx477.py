@@ -87,13 +87,14 @@ class IMX477:
     Args:
         open_camera: opens the camera.
         shape: shape of a measurement, (rows, columns) or (3, rows, columns).
+        fill: side of the box that a value averages, as a share of its embedding pixel's.
         mode: pinned; another one is refused.
         exposures: fixed or bounded; the gain is always 1.
         full_scale: measurement of saturated pixels at the exposure to begin with.
         clock: monotonic time [s].
 
     Raises:
-        SensorError: the camera gives another mode or format.
+        SensorError: the camera gives another mode or format, or boxes are too small for its pixels.
         DeviceMissingError: it is not there.
     """
 
@@ -104,6 +105,7 @@ class IMX477:
         open_camera: Callable[[], Picamera],
         *,
         shape: tuple[int, ...],
+        fill: float = 1.0,
         mode: SensorMode = HALF,
         exposures: ExposureRange = ExposureRange(),
         full_scale: float = 1.0,
@@ -112,7 +114,10 @@ class IMX477:
         self._mode, self._exposures, self._clock = mode, exposures, clock
         self.full_scale = full_scale
         """Measurement of saturated pixels at the exposure to begin with."""
-        self._binning = Binning((mode.rows, mode.columns), shape)
+        try:
+            self._binning = Binning((mode.rows, mode.columns), shape, fill)
+        except ValueError as error:
+            raise SensorError(f"the sensor is too coarse for this bundle: {error}") from None
         self._asked = exposures.start
         self._last_stamp, self._unfit = -1, ""
         self._format: RawFormat
@@ -307,10 +312,11 @@ def _not_set_up(error: Exception) -> SensorError:
     )
 
 
-def _open(settings: Settings, shape: tuple[int, ...]) -> IMX477:
+def _open(settings: Settings, shape: tuple[int, ...], fill: float) -> IMX477:
     return IMX477(
         partial(open_picamera2, settings.camera_number),
         shape=shape,
+        fill=fill,
         exposures=ExposureRange(settings.exposure, settings.exposure_factor),
     )
 
@@ -320,6 +326,7 @@ def _emulate(
     mode: SensorMode,
     *,
     shape: tuple[int, ...],
+    fill: float = 1.0,
     exposure: float,
     full_scale: float,
     clock: Callable[[], float],
@@ -337,6 +344,7 @@ def _emulate(
         IMX477,
         lambda: opened(make, 0),
         shape=shape,
+        fill=fill,
         mode=mode,
         exposures=ExposureRange(exposure),
         full_scale=full_scale,

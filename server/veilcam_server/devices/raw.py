@@ -138,27 +138,31 @@ class Frame:
 
 
 class Binning:
-    """Averages of raw frames of one shape over equal boxes.
+    """Averages of raw frames of one shape over equal boxes, each in the middle of its own part.
+
+    A raw pixel on a box's edge counts by its covered area. Full boxes of a gray measurement average
+    all their pixels alike. Smaller ones average each Bayer colour by itself and then the four, as a
+    box of few pixels holds more of one colour than of another: a tenth too much of six by six.
 
     Args:
         raw: shape (rows, columns) of the frames.
         shape: boxes (rows, columns), or (3, rows, columns) to keep the colours apart.
+        fill: side of a box, as a share of the part's.
 
     Raises:
-        ValueError: more boxes than pixels, or than pixels of each colour.
+        ValueError: a box of less than a pixel, or than a pixel of each colour.
     """
 
-    def __init__(self, raw: tuple[int, int], shape: tuple[int, ...]) -> None:
-        self._step = 1 if len(shape) == 2 else 2
-        rows, columns = (size // self._step for size in raw)
-        self._plane = rows, columns
-        self._row_cuts, self._row_shares = _axis(rows, shape[-2])
-        self._column_cuts, self._column_shares = _axis(columns, shape[-1])
+    def __init__(self, raw: tuple[int, int], shape: tuple[int, ...], fill: float = 1.0) -> None:
+        self._raw, self._colour = raw, len(shape) == 3
+        self._step = 2 if self._colour or fill < 1 else 1
+        self._rows, self._columns = (
+            [_axis(pixels, boxes, fill, first, self._step) for first in range(self._step)]
+            for pixels, boxes in zip(raw, shape[-2:], strict=True)
+        )
 
     def means(self, raw: Raw, order: str = "RGGB") -> npt.NDArray[np.float64]:
         """Return the mean of every box, in colour those of its red, green and blue pixels.
-
-        A pixel stands for the two by two that it is one of.
 
         Args:
             raw: frame.
@@ -167,39 +171,69 @@ class Binning:
         Raises:
             ValueError: a frame of another shape.
         """
-        if self._step == 1:
-            return self._means(raw)
-        places = ((0, 0), (0, 1), (1, 0), (1, 1))
-        planes = [self._means(raw[row::2, column::2]) for row, column in places]
+        if raw.shape != self._raw:
+            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._raw}")
+        step = self._step
+        planes = [
+            _means(raw[first::step, second::step], rows, columns)
+            for first, rows in enumerate(self._rows)
+            for second, columns in enumerate(self._columns)
+        ]
+        if not self._colour:
+            return np.asarray(np.mean(planes, axis=0))
         found = [[mean for mean, of in zip(planes, order, strict=True) if of == c] for c in "RGB"]
         return np.stack([np.mean(each, axis=0) for each in found])
 
-    def _means(self, raw: Raw) -> npt.NDArray[np.float64]:
-        if raw.shape != self._plane:
-            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._plane}")
-        # 32 bits hold the sum of 65,537 pixels of 16 bits: more rows than any sensor has.
-        strips = np.stack(
-            [raw[first:last].sum(0, dtype=np.uint32) for first, last in pairwise(self._row_cuts)]
-        )
-        sums = np.add.reduceat(strips, self._column_cuts[:-1], axis=1, dtype=np.uint64)
-        strips.fill(0)
-        means: npt.NDArray[np.float64] = (
-            self._row_shares @ sums.astype(np.float64) @ self._column_shares.T
-        )
-        return means
+
+def _means(raw: Raw, rows: _Boxes, columns: _Boxes) -> npt.NDArray[np.float64]:
+    # 32 bits hold the sum of 65,537 pixels of 16 bits: more rows than any sensor has.
+    strips = np.stack(
+        [raw[first:last].sum(0, dtype=np.uint32) for first, last in pairwise(rows.cuts)]
+    )
+    inside = strips[:, : columns.cuts[-1]]
+    sums = np.add.reduceat(inside, columns.cuts[:-1], axis=1, dtype=np.uint64)
+    strips.fill(0)
+    means: npt.NDArray[np.float64] = rows.shares @ sums.astype(np.float64) @ columns.shares.T
+    return means
 
 
-def _axis(pixels: int, boxes: int) -> tuple[list[int], npt.NDArray[np.float64]]:
-    """Return the cuts of an axis, and the share of each piece in the mean of each box."""
-    if not 1 <= boxes <= pixels:
-        raise ValueError(f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels")
-    edges = [Fraction(box * pixels, boxes) for box in range(boxes + 1)]
-    cuts = sorted({whole for edge in edges for whole in (math.floor(edge), math.ceil(edge))})
+@dataclass(frozen=True, slots=True)
+class _Boxes:
+    """Boxes along one axis of a plane of pixels."""
+
+    cuts: list[int]
+    """Ends of the pieces whose pixels are in the same boxes by the same part."""
+    shares: npt.NDArray[np.float64]
+    """Share of each piece's sum in each box's mean."""
+
+
+def _axis(pixels: int, boxes: int, fill: float, first: int, step: int) -> _Boxes:
+    """Return the boxes of an axis on every ``step``-th of its pixels, from ``first`` on."""
+    share = Fraction(fill).limit_denominator(10**6)
+    side = share * pixels / boxes if boxes > 0 else Fraction(0)
+    if side < step:
+        colours = " of each colour" if step > 1 else ""
+        most = math.floor(share * pixels / step)
+        raise ValueError(
+            f"{boxes} boxes of fill {fill:g} are not valid: use 1 to {most}, the number that hold "
+            f"a pixel{colours} each of {pixels}, or a larger fill"
+        )
+
+    def below(position: Fraction) -> Fraction:
+        """Return the length of such pixels below a position."""
+        whole, rest = divmod(position - first, step)
+        return max(Fraction(0), whole + min(Fraction(1), rest))
+
+    middles = [Fraction((2 * box + 1) * pixels, 2 * boxes) for box in range(boxes)]
+    edges = [(below(middle - side / 2), below(middle + side / 2)) for middle in middles]
+    cuts = sorted(
+        {whole(edge) for pair in edges for edge in pair for whole in (math.floor, math.ceil)}
+    )
     shares = np.zeros((boxes, len(cuts) - 1))
-    for box, (low, high) in enumerate(pairwise(edges)):
-        for piece, (first, last) in enumerate(pairwise(cuts)):
-            inside = min(high, Fraction(last)) - max(low, Fraction(first))
+    for box, (low, high) in enumerate(edges):
+        for piece, (start, end) in enumerate(pairwise(cuts)):
+            inside = min(high, Fraction(end)) - max(low, Fraction(start))
             if inside > 0:
                 # Of the piece's sum, each of whose pixels is in the box by the same part.
-                shares[box, piece] = float(inside / ((last - first) * (high - low)))
-    return cuts, shares
+                shares[box, piece] = float(inside / ((end - start) * (high - low)))
+    return _Boxes(cuts, shares)

@@ -72,7 +72,9 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
     return Device(
         ReopeningDisplay(display.name, partial(display.open, settings, bundle.camera)),
         ReopeningSensor(
-            sensor.name, SHARE, partial(sensor.open, settings, bundle.measurement_shape)
+            sensor.name,
+            SHARE,
+            partial(sensor.open, settings, bundle.measurement_shape, bundle.embedding.fill),
         ),
         simulated=False,
     )

@@ -72,9 +72,8 @@ def show_command(
 ) -> None:
     """Print what a bundle is; none of it is secret."""
     bundle = read_bundle(file)
-    rows, columns = bundle.embedding.shape
     pairs = f", {len(bundle.pairs)} masks" if bundle.pairs else ""
-    console.print(f"{bundle.task}, {rows}x{columns}, mode {bundle.mode}{pairs}", markup=False)
+    console.print(f"{bundle.task}, {bundle.embedding}, mode {bundle.mode}{pairs}", markup=False)
     console.print(f"version {bundle.version}, {bundle.digest[:12]}")
     if bundle.owner is None:
         console.print("not signed")

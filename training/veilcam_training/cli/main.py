@@ -94,7 +94,8 @@ PsfDistance = Annotated[
     ),
 ]
 Shape = Annotated[
-    str | None, typer.Option("--embedding", help="ROWSxCOLUMNS; 24x32 unless told otherwise.")
+    str | None,
+    typer.Option("--embedding", help="ROWSxCOLUMNS[@FILL]; 24x32 unless told otherwise."),
 ]
 Binning = Annotated[
     str | None,

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -10,6 +9,7 @@ import torch
 from pydantic import BaseModel, Field, model_validator
 
 from veilcam_optics.camera.geometry import Embedding
+from veilcam_optics.errors import OpticsError
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.encoders.imperfections import PanelErrors
@@ -27,15 +27,16 @@ Tolerance = Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
 
 
 def parse_embedding(text: str) -> Embedding:
-    """Embedding from rows and columns, e.g. ``24x32``.
+    """Embedding from rows, columns and fill, as :meth:`.Embedding.parse` reads it.
 
     Raises:
-        TrainingError: not of that form, or zero.
+        TrainingError: not of that form, or out of range.
     """
-    match = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
-    if match is None:
-        raise TrainingError(f"embedding {text!r} is not valid: use ROWSxCOLUMNS, e.g. 24x32")
-    return Embedding(int(match[1]), int(match[2]))
+    try:
+        return Embedding.parse(text)
+    except OpticsError as error:
+        valid = str(error).partition(": ")[2]
+        raise TrainingError(f"embedding {text!r} is not valid: {valid}") from None
 
 
 def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:

@@ -136,7 +136,7 @@ def model_card(bundle: Bundle, files: tuple[str, ...], command: str) -> str:
         ("Made by", _made_by(bundle, command)),
     )
     text = "\n\n".join(f"## {title}\n\n" + "\n".join(lines) for title, lines in sections)
-    return f"# {bundle.task}, {rows}x{columns}, mode {bundle.mode}\n\n{text}\n"
+    return f"# {bundle.task}, {bundle.embedding}, mode {bundle.mode}\n\n{text}\n"
 
 
 def _classifiers(bundle: Bundle, files: tuple[str, ...], taken: str) -> list[str]:

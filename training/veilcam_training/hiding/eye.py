@@ -9,9 +9,10 @@ factors are separable: the measurement is projected back to the scene, and no pi
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,9 @@ _SMOOTH = {1: 1.75 / 24, 3: 3.5 / 24}
 """Standard deviation of the mean that the high-pass subtracts, in heights of the sensor; by the
 number of channels. Random masks are seen little then, and fifty holes or a hole in a random ground
 clearly."""
+_TRUST = {1: 0.0, 3: 0.25}
+"""Power of a window's pixels that its correlations are multiplied by: few agree by chance; by the
+number of channels."""
 _LIT = 0.1
 """Share of the brightest pixel from which a pixel belongs to a pinhole's window."""
 _KEPT = 0.2
@@ -73,7 +77,7 @@ class _Colour:
     means: Values
     """Means of the pictures in their windows, (places y, places x, candidates)."""
     norms: Values
-    """Norms of the pictures less their means."""
+    """Norms of the pictures less their means, smaller where a window is large."""
 
 
 class Eye:
@@ -105,6 +109,8 @@ class Eye:
             self._prepare(channel, _Axis.of(y, self._smooth_y), _Axis.of(x, self._smooth_x))
             for channel, y, x in _brightest(pinhole_kernels(camera, scene, embedding, channels))
         ]
+        # As their sub-pixels lie, from the top.
+        self._colours.sort(key=lambda each: int(np.argmax(camera.row_amplitudes(each.channel))))
         self.pinhole = self.seen(pinhole(camera))
         # Twenty masks are many: each hides one of the hundreds, in turn.
         starts = range(0, len(self.scenes), GROUP)
@@ -141,12 +147,15 @@ class Eye:
             group: candidates that are compared.
         """
         values = measurements.reshape(len(measurements), self._channels, *self._embedding.shape)
-        best = np.full((len(values), len(self.scenes[group])), -1, np.float32)
+        best = np.full((len(values), len(self.scenes[group])), -np.inf, np.float32)
         images = values - self._smooth_y @ values @ self._smooth_x.T
         rows = [_correlations(images[:, each.channel], each, group) for each in self._colours]
-        for found in zip(*rows, strict=False):
-            # A pinhole lets all colours through: their evidence adds up.
-            np.maximum(best, sum(found).max(1) / np.sqrt(len(found)), out=best)
+        near: deque[Values] = deque(maxlen=len(rows))
+        for found in itertools.chain.from_iterable(zip(*rows, strict=False)):
+            near.append(found)
+            if len(near) == len(rows):
+                # A pinhole lets all colours through, whichever is on top: their evidence adds up.
+                np.maximum(best, reduce(np.add, near).max(1) / np.sqrt(len(near)), out=best)
         return best
 
     def _prepare(self, channel: int, y: _Axis, x: _Axis) -> _Colour:
@@ -163,13 +172,14 @@ class Eye:
             means.append(mean.T)
             norms.append((np.square(pictures).sum((1, 3)) - sizes * mean**2).T)
         squares = np.array(norms)
+        pixels = np.outer(y.window.sum(1), x.window.sum(1))[:, :, None]
         return _Colour(
             channel,
             y,
             x,
             modes.reshape(len(modes), -1),
             np.array(means),
-            np.sqrt(np.maximum(squares, 1e-12 * squares.max())),
+            np.sqrt(np.maximum(squares, 1e-12 * squares.max())) / pixels ** _TRUST[self._channels],
         )
 
 

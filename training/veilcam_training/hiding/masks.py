@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 Values = npt.NDArray[Any]
+Draw = Callable[[tuple[int, int], np.random.Generator], Values]
+"""Draw of a mask's weights of a shape."""
 
 
 def other_mask(shape: tuple[int, int], random: np.random.Generator) -> Values:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_training.data import Images
 from veilcam_training.hiding.machine import power_spectra
-from veilcam_training.hiding.masks import other_mask
+from veilcam_training.hiding.masks import Draw, other_mask
 from veilcam_training.hiding.pinholes import Measurer
 
 Values = npt.NDArray[Any]
@@ -36,10 +36,18 @@ class Reader:
         measure: measurements of that camera.
         images: training images.
         labels: number of labels.
+        draw: draw of the masks that it is trained behind.
     """
 
     def __init__(
-        self, camera: Camera, embedding: Embedding, measure: Measurer, images: Images, labels: int
+        self,
+        camera: Camera,
+        embedding: Embedding,
+        measure: Measurer,
+        images: Images,
+        labels: int,
+        *,
+        draw: Draw = other_mask,
     ) -> None:
         self._embedding = embedding
         random = np.random.default_rng(3)
@@ -47,7 +55,7 @@ class Reader:
         # Few images are soon learned by heart.
         for _ in range(min(_MASKS, 1 + len(images) // 20)):
             chosen = torch.from_numpy(random.integers(len(images), size=_SCENES))
-            values = measure(scenes_of(images, chosen), other_mask(camera.mask_shape, random))
+            values = measure(scenes_of(images, chosen), draw(camera.mask_shape, random))
             inputs.append(self._inputs(values))
             wanted.append(images.labels[chosen])
         self._network = _train(torch.cat(inputs), torch.cat(wanted), labels)

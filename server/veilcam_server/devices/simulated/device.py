@@ -45,9 +45,9 @@ _CACHED_MASKS = 3
 """Masks whose light is kept: opaque, open, and the one that is shown."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
-_FINER = 4
-"""Raw pixels along each side of an embedding's box, at least; each stands for many of a real
-sensor's."""
+_FINER, _FINEST = 4, 40
+"""Raw pixels along each side of an embedding pixel, at least and at most; each stands for many of a
+real sensor's."""
 _SWITCHES = 16
 """Switches of the lamp that are remembered, for exposures that began before them."""
 _BAYER = (0.25, 0.5, 0.25)
@@ -115,9 +115,18 @@ class ColourLight:
         return torch.stack([light.collect(scene, part) for light, scene, part in lights], 1)
 
 
-def raw_shape(embedding: Embedding) -> tuple[int, int]:
-    """Rows and columns of simulated raw frames: boxes of the embedding are of whole pixels."""
-    return _FINER * embedding.rows, _FINER * embedding.columns
+def raw_shape(embedding: Embedding, *, colour: bool = False) -> tuple[int, int]:
+    """Rows and columns of simulated raw frames: boxes are of whole pixels, where that can be.
+
+    In colour they are of whole two by two pixels, which have one light.
+    """
+    unit = 2 if colour else 1
+    for cells in range(_FINER // unit, _FINEST // unit + 1):
+        side = round(embedding.fill * cells)
+        whole = abs(embedding.fill * cells - side) < 1e-6
+        if whole and unit * side >= 2 and (cells - side) % 2 == 0:
+            break
+    return unit * cells * embedding.rows, unit * cells * embedding.columns
 
 
 def planned_light(
@@ -137,7 +146,7 @@ def planned_light(
         imperfections: imperfections that a decoder need not know of.
         colour: True keeps the channels apart.
     """
-    rows, columns = raw_shape(embedding)
+    rows, columns = raw_shape(embedding, colour=colour)
     pixels = Embedding(rows // 2, columns // 2) if colour else Embedding(rows, columns)
     conditions = Optical(imperfections=imperfections)
     for tolerance in (TOLERANCE, DECODERS_TOLERANCE):
@@ -254,11 +263,13 @@ class SimulatedLight:
         raw = pixel_shuffle(irradiance[[0, 1, 1, 2]], 2)[0] if colour else irradiance
         if self._conditions.snr_db == math.inf:
             return raw
-        binned = area_average(irradiance, *self._embedding.shape)
+        embedding = self._embedding
+        binned = area_average(irradiance, *embedding.shape, embedding.fill)
         # As in veilcam_optics.sensor.noise: variance per unit of light; a measurement is the mean
         # of as many raw pixels, in colour of its own alone.
         shares = binned.new_tensor(_BAYER if colour else 1.0).reshape(-1, 1, 1)
-        total = float((binned / shares).sum()) * self._embedding.size / raw.numel()
+        pixels = raw.numel() / embedding.size * embedding.fill**2
+        total = float((binned / shares).sum()) / pixels
         if total <= 0:
             return raw
         unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
@@ -355,7 +366,7 @@ def simulated_device(
             f"nobody wrote an emulator for {display.name} and {sensor.name}: leave --simulate out"
         )
     scenes = Scenes(deck, clock=clock)
-    rows, columns = raw_shape(embedding)
+    rows, columns = raw_shape(embedding, colour=scenes.shape[:-2] != ())
     mode = SensorMode(rows, columns, line_time=0.0, frame_duration=0.0)
     if full_scale is None:
         with torch.no_grad():
@@ -386,6 +397,7 @@ def simulated_device(
     start_sensor, break_sensor = sensor.emulate(
         *(frames, mode),
         shape=(*scenes.shape[:-2], *embedding.shape),
+        fill=embedding.fill,
         exposure=conditions.exposure,
         full_scale=full_scale,
         clock=clock,

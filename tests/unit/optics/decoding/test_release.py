@@ -178,7 +178,7 @@ def test_refuses_another_shape(decoding: SceneDecoding) -> None:
 def test_whitening_shows_nothing_of_the_mask(decoding: SceneDecoding) -> None:
     decoder, _ = make(decoding, "a", count=1)
     whitening = Whitening(decoder, key_of("turn"))
-    assert repr(whitening) == "Whitening(embedding=Embedding(rows=4, columns=5))"
+    assert repr(whitening) == "Whitening(embedding=4x5)"
     assert "tensor" not in repr(decoder)
 
 

@@ -103,7 +103,9 @@ def test_factored_field_is_as_far_from_exact_light_as_predicted(
 def test_shadows_miss_what_edges_lose() -> None:
     """Of one aperture 49 waves wide, on a pixel that is twenty distances wide."""
     seed = 3000054
-    result = judge_job(draw(seed), seed=seed, limit=UNHURRIED)
+    job = draw(seed)
+    full = replace(job, embedding=replace(job.embedding, fill=1.0))
+    result = judge_job(full, seed=seed, limit=UNHURRIED)
     assert result.method == "shadow"
     assert result.true > 5e-3
     assert result.true / 2 < result.predicted < 3 * result.true

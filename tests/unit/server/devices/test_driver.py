@@ -91,7 +91,7 @@ DRIVER = SensorDriver(
     name="OTHER",
     model="other",
     product="the other camera",
-    open=lambda settings, shape: Other(IMX477.open(settings, shape)),
+    open=lambda settings, shape, fill: Other(IMX477.open(settings, shape, fill)),
     emulate=_emulate,
     packages=("other_camera",),
 )
@@ -111,7 +111,8 @@ def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_panel_that_was_added_is_opened_with_what_it_needs(
     bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened: list[tuple[int, ...]] = []
+    opened: list[tuple[object, ...]] = []
+    bundle = replace(bundle, embedding=replace(bundle.embedding, fill=0.2))
 
     class Started:
         name, full_scale = "OTHER", 1.0
@@ -122,8 +123,8 @@ def test_panel_that_was_added_is_opened_with_what_it_needs(
         def close(self) -> None:
             """Nothing was opened."""
 
-    def start(settings: Settings, shape: tuple[int, ...]) -> Any:
-        opened.append(shape)
+    def start(settings: Settings, shape: tuple[int, ...], fill: float) -> Any:
+        opened.append((shape, fill))
         return Started()
 
     monkeypatch.setitem(SENSORS, "OTHER", replace(SENSORS["OTHER"], open=start))
@@ -136,7 +137,7 @@ def test_panel_that_was_added_is_opened_with_what_it_needs(
     device.display.blank()
     with pytest.raises(SensorError, match="no light here"):
         device.sensor.capture(0.0, 1.0)
-    assert opened == [bundle.embedding.shape]
+    assert opened == [(bundle.embedding.shape, 0.2)]
     device.close()
 
 

@@ -50,10 +50,25 @@ def test_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
     )
 
 
+@pytest.mark.parametrize("raw", [(40, 60), (41, 61), (13, 19)])
+@pytest.mark.parametrize("fill", [0.5, 0.4, 0.351])
+def test_small_box_holds_its_colours_in_equal_shares(raw: tuple[int, int], fill: float) -> None:
+    """However a box cuts the Bayer pattern, red and blue count a quarter each."""
+    for channel, share in enumerate((0.25, 0.5, 0.25)):
+        frame = np.zeros(raw, np.uint16)
+        for row, column in (((0, 0),), ((0, 1), (1, 0)), ((1, 1),))[channel]:
+            frame[row::2, column::2] = 1000
+        np.testing.assert_allclose(Binning(raw, (2, 3), fill).means(frame), 1000 * share)
+        apart = np.zeros((3, 2, 3))
+        apart[channel] = 1000
+        np.testing.assert_allclose(Binning(raw, (3, 2, 3), fill).means(frame), apart)
+
+
 def test_brightest_frame_of_the_real_sensor_does_not_overflow() -> None:
     frame = np.full((1520, 2028), 65535, np.uint16)
-    for boxes in ((1, 1), (3, 4), (24, 32)):
-        np.testing.assert_allclose(Binning(frame.shape, boxes).means(frame), 65535, rtol=1e-12)
+    for boxes, fill in (((1, 1), 1.0), ((3, 4), 1.0), ((24, 32), 1.0), ((24, 32), 0.1)):
+        means = Binning(frame.shape, boxes, fill).means(frame)
+        np.testing.assert_allclose(means, 65535, rtol=1e-12)
 
 
 def test_frames_with_padded_lines_are_read_as_they_lie() -> None:
@@ -74,3 +89,5 @@ def test_frame_that_does_not_fit_is_refused() -> None:
         Binning((4, 9), (2, 10))
     with pytest.raises(ValueError, match="use 1 to 2"):
         Binning((4, 9), (3, 3, 4))
+    with pytest.raises(ValueError, match=r"use 1 to 2, .* pixel of each colour each of 20"):
+        Binning((20, 200), (3, 3), 0.2)

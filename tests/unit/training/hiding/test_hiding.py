@@ -43,11 +43,15 @@ def test_eye_sees_pinholes_and_not_random_masks(eye: Eye) -> None:
     assert eye.seen(mask) <= eye.random + 0.05
 
 
-def test_eye_sees_a_pinhole_in_colour() -> None:
+def test_eye_sees_a_hole_in_colour_whichever_colour_is_on_top() -> None:
     scene = Scene(rows=16, columns=16, height=0.25, distance=0.4)
-    eye = Eye(CAMERA, scene, Embedding(12, 16), 3, drawn_scenes(scene, 3, 40))
+    eye = Eye(CAMERA, scene, Embedding(18, 24), 3, drawn_scenes(scene, 3, 40))
     assert eye.pinhole >= 0.95
     assert eye.random < 0.5
+    for top in (24, 25, 26):
+        mask = np.float32(0.4) * random_masks(CAMERA, 1)[0]
+        mask[top : top + 3, 11] = 1
+        assert eye.seen(mask) >= 0.95
 
 
 def test_noise_has_forty_decibels() -> None:
