@@ -8,13 +8,12 @@ from pathlib import Path
 
 from veilcam_optics import Camera
 from veilcam_training.bundle import write_bundle
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import open_source
 from veilcam_training.experiments.keyring import fit_keyring
 
 data, out = map(Path, sys.argv[1:])
-settings = Settings(encoder="learned", embedding="6x8", recipe=Recipe(epochs=2, batch=64))
+settings = FitSettings(encoder="learned", embedding="6x8", epochs=2, batch=64)
 bundle = fit_keyring(settings, 2, open_source("mnist", data), Camera())
 write_bundle(out, bundle)
 assert bundle.accuracy is not None

@@ -25,7 +25,8 @@ from benchmarks.paper.results import CellResult, load_results, record_cells
 from benchmarks.paper.runner import CellRunner, run_cells
 from veilcam_training.bundle import BundleError
 from veilcam_training.cli.options import choose_device
-from veilcam_training.config.settings import Settings, load_settings
+from veilcam_training.config.files import load_settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError, require
@@ -182,17 +183,17 @@ def _psfs(given: Sequence[str]) -> dict[str, Path]:
 
 def _settings(
     place: Place, seed: int, psfs: Mapping[str, Path], recipe: str, epochs: int | None
-) -> Settings:
+) -> FitSettings:
     # As the paper's masks, which have no bound.
-    chosen: dict[str, object] = {"base": recipe, "hidden": False}
-    if epochs is not None:
-        chosen["epochs"] = epochs
     values: dict[str, object] = {
         **place.row._asdict(),
         **place.column._asdict(),
         "seed": seed,
-        "recipe": chosen,
+        "recipe": recipe,
+        "hidden": False,
     }
+    if epochs is not None:
+        values["epochs"] = epochs
     if place.row.encoder in psfs:
         values["psf"] = psfs[place.row.encoder]
     return load_settings(None, values)

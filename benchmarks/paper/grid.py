@@ -8,7 +8,7 @@ from importlib.resources import files
 from itertools import product, starmap
 from typing import NamedTuple, Self
 
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import require
 from veilcam_training.models.classifiers import SceneTask, Task, make_layers
@@ -53,7 +53,7 @@ class Place:
     column: Column
 
     @classmethod
-    def of(cls, settings: Settings) -> Self:
+    def of(cls, settings: FitSettings) -> Self:
         """Where a fit with ``settings`` stands."""
         return cls(
             Row(settings.classifier, settings.encoder, settings.binning),
@@ -92,7 +92,7 @@ class Place:
 class Cell:
     """One fit of a table."""
 
-    settings: Settings
+    settings: FitSettings
 
     @property
     def place(self) -> Place:
@@ -181,7 +181,7 @@ class Table:
         )
         return tuple(places)
 
-    def holds(self, settings: Settings) -> bool:
+    def holds(self, settings: FitSettings) -> bool:
         """True if a fit with ``settings`` belongs into this table."""
         return (
             settings.data in self.datasets

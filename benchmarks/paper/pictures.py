@@ -14,7 +14,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_optics.files import replacing
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images
 from veilcam_training.encoders import Digital, LearnedMask, make_encoder
 from veilcam_training.errors import TrainingError
@@ -39,7 +39,7 @@ class Pictures:
     """As the scenes, but of the embedding: what the sensor reads of them, noise included."""
 
 
-def make_pictures(model: LenslessClassifier, settings: Settings, validation: Images) -> Pictures:
+def make_pictures(model: LenslessClassifier, settings: FitSettings, validation: Images) -> Pictures:
     """Pictures of a fitted model, with the first images of the validation part."""
     setup, seed = model.encoder.setup, settings.seed
     device = next(model.parameters()).device
@@ -62,7 +62,7 @@ def make_pictures(model: LenslessClassifier, settings: Settings, validation: Ima
     )
 
 
-def point_image(model: LenslessClassifier, settings: Settings) -> Pixels | None:
+def point_image(model: LenslessClassifier, settings: FitSettings) -> Pixels | None:
     """What a point on the axis becomes on the sensor, finer than any embedding.
 
     The same camera, read with small pixels, looks at a scene of one small pixel.

@@ -16,7 +16,7 @@ from benchmarks.paper.pictures import Pictures, save_pictures
 from benchmarks.paper.stopwatch import Clock
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.errors import TrainingError, require
 
 RESULT = "result.json"
@@ -43,7 +43,7 @@ class EpochRecord(BaseModel, frozen=True, extra="forbid"):
 class CellResult(BaseModel, frozen=True, extra="forbid"):
     """The numbers of a finished cell; accuracies in [0, 1]."""
 
-    settings: Settings
+    settings: FitSettings
     fingerprint: str
     """Of all that the numbers depend on."""
     labels: tuple[str, ...]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import typer
@@ -32,9 +32,9 @@ from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, su
 from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.bundle import LayerRecord, classifier_inputs, read_bundle, write_bundle
 from veilcam_training.bundle.layers import Conv2d, Linear, Residual
-from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import load_fresh_settings
+from veilcam_training.config.files import load_settings
 from veilcam_training.data import Images, Split, open_source, split
+from veilcam_training.errors import require
 from veilcam_training.experiments.fit import run_fresh
 from veilcam_training.experiments.keyring import as_fresh_bundle
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera, make_fresh_model
@@ -47,6 +47,15 @@ from veilcam_training.trainer.loop import fit
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
+SIZES = ("24x32", "12x16", "6x8", "3x4")
+TASKS: Mapping[str, Mapping[str, Any]] = {
+    **{f"mnist_{size}": {"embedding": size, "fresh": {}} for size in SIZES},
+    "mnist_shift": {"fresh": {"placement": "anywhere"}},
+    "fashion_24x32": {"data": "fashion", "fresh": {}},
+    "faces_gender_24x32": {"data": "faces-gender", "fresh": {}},
+    "cifar10_27x36": {"data": "cifar10", "embedding": "27x36", "fresh": {}},
+}
+"""Changes of the settings of a fit."""
 STILL = {"rotation": 0.0, "scale": 0.0, "crop": 0}
 """Of what is not a picture."""
 Data = Annotated[Path, typer.Option(help="Folder that holds the data set's files.")]
@@ -66,10 +75,11 @@ def accuracy(
     figures: FiguresOption = None,
 ) -> None:
     """Fit one classifier for all masks and test it once, on masks that it has never seen."""
-    camera, chosen = Camera(), {"task": task}
-    settings = load_fresh_settings(None, chosen)
+    require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
+    camera = Camera()
+    settings = load_settings(None, TASKS[task])
     source = open_source(settings.data, data)
-    settings = load_fresh_settings(None, chosen, colour=source.colour)
+    settings = load_settings(None, TASKS[task], colour=source.colour)
     with make_progress(Console()) as progress:
         result = run_fresh(
             settings,
@@ -77,7 +87,7 @@ def accuracy(
             camera,
             masks=masks,
             work=work,
-            callbacks=[FitProgress(progress, task, settings.recipe.epochs), Log()],
+            callbacks=[FitProgress(progress, task, settings.epochs), Log()],
         )
     percent = 100 * result.accuracy.value
     print(
@@ -180,9 +190,8 @@ def keyless(
     figures: FiguresOption = None,
 ) -> None:
     """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
-    settings = load_fresh_settings(
-        None, {"exponent": exponent, "recipe": {"epochs": epochs, "jitter": STILL}}
-    )
+    chosen = {"fresh": {"exponent": exponent}, "epochs": epochs, "jitter": STILL}
+    settings = load_settings(None, chosen)
     source, camera = open_source(settings.data, data), Camera()
     parts = split(source.training())
     parts = Split(parts.training.take(torch.arange(images)), parts.validation)
@@ -196,9 +205,7 @@ def keyless(
     result = fit(
         model,
         parts,
-        settings.recipe,
-        settings.seed,
-        masks=(settings.masks, settings.validation_masks),
+        settings,
         callbacks=[Log()],
     )
     percent = 100 * result.best.validation_accuracy
@@ -302,7 +309,7 @@ def dials(
 
 def _model(data: Path) -> tuple[FreshClassifier, Images]:
     """The model of task mnist_24x32, not fitted, and validation images to show it."""
-    settings, camera = load_fresh_settings(None, {}), Camera()
+    settings, camera = load_settings(None, {"fresh": {}}), Camera()
     source = open_source(settings.data, data)
     images = split(source.training())
     known = fresh_statistics(settings, camera, source.scene, images.training)

@@ -29,7 +29,8 @@ from matplotlib.figure import Figure
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
-from veilcam_training.config.settings import load_fresh_settings, load_settings, parse_embedding
+from veilcam_training.config.files import load_settings
+from veilcam_training.config.settings import parse_embedding
 from veilcam_training.data import Source, open_source
 from veilcam_training.encoders import ENCODERS, Encoder, FixedEncoder, LearnedMask, Mask, Setup
 from veilcam_training.encoders.fresh import FreshCamera
@@ -67,8 +68,7 @@ class Bench:
         self.source, self.size, self.camera = source, size, Camera()
         embedding = parse_embedding(size)
         self.training, self.test = source.training(), source.test()
-        recipe = {"epochs": epochs}
-        self.asked = {"embedding": size, "classifier": "Scene8", "seed": SEED, "recipe": recipe}
+        self.asked = {"embedding": size, "classifier": "Scene8", "seed": SEED, "epochs": epochs}
         self.measure = Measurer(self.camera, source.scene, embedding, 1)
         self.scenes = scenes_of(self.test, slice(None))
         self.eye = drawn_eye(self.camera, source.scene, embedding, 1)
@@ -79,7 +79,7 @@ class Bench:
     def point(self, kind: str) -> dict[str, float]:
         """Percent read with the key and without it, and seen."""
         if kind == "fresh":
-            fresh = load_fresh_settings(None, self.asked | {"task": f"mnist_{self.size}"})
+            fresh = load_settings(None, self.asked | {"fresh": {}})
             found = run_fresh(fresh, self.source, self.camera, callbacks=[Log()])
             key, read, seen = found.accuracy.value, *self._fresh(found.camera)
         else:

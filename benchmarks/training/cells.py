@@ -30,7 +30,7 @@ from veilcam_optics.decoding import MeasurementNoise, Precision, SceneFrame, Sce
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_training.bundle import Network
 from veilcam_training.bundle.layers import Linear
-from veilcam_training.config.settings import load_fresh_settings, load_settings
+from veilcam_training.config.files import load_settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.errors import require
 from veilcam_training.experiments.fit import run_fit, run_fresh
@@ -41,6 +41,8 @@ from veilcam_training.trainer.callbacks import Epoch
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 """Quantiles 0.975 of Student's t, of 1 to 9 degrees of freedom."""
 TIMES = "times"
+MASKS = 5
+"""Unseen masks that the test set is spread over."""
 
 
 @dataclass(frozen=True)
@@ -49,36 +51,30 @@ class Cell:
 
     data: str
     embedding: str
-    recipe: Mapping[str, Any] = field(default_factory=dict)
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Of the settings of a fit."""
     classifier: str = "Scene32"
-    masks: int = 0
-    """Unseen masks for the test set; 0 for one mask that stays."""
 
     def accuracy(self, source: Source, seed: int) -> float:
         """Test accuracy of a fit, in [0, 1]."""
-        if self.masks:
-            chosen = {"task": f"{self.data}_{self.embedding}", "seed": seed}
-            fresh = load_fresh_settings(None, chosen, colour=source.colour)
-            found = run_fresh(fresh, source, Camera(), masks=self.masks, callbacks=[Log()])
+        chosen = {
+            "data": self.data,
+            "embedding": self.embedding,
+            "classifier": self.classifier,
+            "seed": seed,
+            **self.changes,
+        }
+        settings = load_settings(None, chosen, colour=source.colour)
+        if settings.fresh is not None:
+            found = run_fresh(settings, source, Camera(), masks=MASKS, callbacks=[Log()])
             return found.accuracy.value
-        settings = load_settings(
-            None,
-            {
-                "data": self.data,
-                "embedding": self.embedding,
-                "classifier": self.classifier,
-                "seed": seed,
-                "recipe": self.recipe,
-            },
-            colour=source.colour,
-        )
         return run_fit(settings, source, Camera(), callbacks=[Log()]).accuracy.value
 
 
 CELLS: Mapping[str, Cell] = {
     "cifar10_hidden_27x36": Cell("cifar10", "27x36"),
     "cifar10_hidden_6x8": Cell("cifar10", "6x8"),
-    "cifar10_fresh_27x36": Cell("cifar10", "27x36", masks=5),
+    "cifar10_fresh_27x36": Cell("cifar10", "27x36", {"fresh": {}}),
     "mnist_hidden_24x32": Cell("mnist", "24x32", classifier="Scene16"),
     # Of twelve numbers no eye sees anything: there is no bound.
     "mnist_hidden_3x4": Cell("mnist", "3x4", {"hidden": False, "end_to_end": True}, "Scene16"),

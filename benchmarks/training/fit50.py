@@ -19,8 +19,8 @@ from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import Situation, find_recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.recipes import find_recipe
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import open_source, split
 from veilcam_training.experiments.model import make_model
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
@@ -41,10 +41,9 @@ def main(
 ) -> None:
     """Fit, print minutes and validation accuracy, and record them."""
     torch.set_num_threads(threads)
-    chosen = find_recipe(recipe, Situation(classifier="FC800")).model_copy(
+    settings = find_recipe(recipe, FitSettings(classifier="FC800", seed=seed)).model_copy(
         update={"epochs": EPOCHS, "patience": None}
     )
-    settings = Settings(classifier="FC800", seed=seed, recipe=chosen)
     source = open_source(settings.data, data)
     before = os.getloadavg()[0]
     with make_progress(Console()) as progress:
@@ -52,8 +51,7 @@ def main(
         result = fit(
             make_model(settings, source, Camera()),
             split(source.training()),
-            chosen,
-            seed,
+            settings,
             callbacks=[bar],
         )
     minutes = sum(epoch.seconds for epoch in result.history) / 60

@@ -16,8 +16,8 @@ from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import Situation, find_recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.recipes import find_recipe
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import open_source
 from veilcam_training.experiments.fit import run_fit
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
@@ -32,10 +32,9 @@ def main(
 ) -> None:
     """Fit, print the accuracy and record it in percent."""
     torch.set_num_threads(threads)
-    recipe = find_recipe("default", Situation(classifier="LR"))
-    settings = Settings(classifier="LR", seed=seed, recipe=recipe)
+    settings = find_recipe("default", FitSettings(classifier="LR", seed=seed))
     with make_progress(Console()) as progress:
-        bar = FitProgress(progress, "LR learned 24x32", recipe.epochs)
+        bar = FitProgress(progress, "LR learned 24x32", settings.epochs)
         outcome = run_fit(settings, open_source("mnist", data), Camera(), callbacks=[bar])
     seconds = sum(epoch.seconds for epoch in outcome.fit.history)
     percent = 100 * outcome.accuracy.value

@@ -22,8 +22,8 @@ from rich.table import Table
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
-from veilcam_training.config.recipes import Situation, find_recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.recipes import find_recipe
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.encoders import FixedEncoder, Mask, PanelErrors
 from veilcam_training.encoders.imperfections import make_operators
@@ -32,8 +32,8 @@ from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import stream
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.trainer.step import evaluate
 from veilcam_training.trainer.loop import fit
+from veilcam_training.trainer.step import evaluate
 
 ERRORS = PanelErrors(gamma=0.1, floor=0.05, shift=5e-5, distance=5e-5)
 PANELS = 20
@@ -71,13 +71,12 @@ def draw_panels(count: int, seed: int) -> list[Imperfections]:
     ]
 
 
-def fitted(parts: Split, settings: Settings, data: Path, name: str) -> LenslessClassifier:
+def fitted(parts: Split, settings: FitSettings, data: Path, name: str) -> LenslessClassifier:
     """The model of ``settings``, fitted."""
-    recipe = settings.recipe
     with make_progress(Console()) as progress:
-        bar = FitProgress(progress, name, recipe.epochs)
+        bar = FitProgress(progress, name, settings.epochs)
         model = make_model(settings, open_source(settings.data, data), Camera())
-        return fit(model, parts, recipe, settings.seed, callbacks=[bar]).model
+        return fit(model, parts, settings, callbacks=[bar]).model
 
 
 def main(
@@ -90,19 +89,14 @@ def main(
 ) -> None:
     """Print accuracies and record them."""
     torch.set_num_threads(1)
-    situation = Situation(embedding=embedding, classifier="FC800")
-    recipe = find_recipe("default", situation).model_copy(update={"epochs": epochs})
+    chosen = FitSettings(embedding=embedding, classifier="FC800", seed=seed)
+    chosen = find_recipe("default", chosen).model_copy(update={"epochs": epochs})
     parts = split(open_source("mnist", data).training())
     panels = draw_panels(PANELS, seed)
     table = Table("trained for", "ideal panel", f"{PANELS} panels that err, mean", "worst of them")
     values: dict[str, float] = {}
     for name, errors in (("ideal", PanelErrors()), ("erring", ERRORS)):
-        settings = Settings(
-            embedding=embedding,
-            classifier="FC800",
-            seed=seed,
-            recipe=recipe.model_copy(update={"panel_errors": errors}),
-        )
+        settings = chosen.model_copy(update={"panel_errors": errors})
         model = fitted(parts, settings, data, f"{name} panel")
         ideal = accuracy(model, NOMINAL, parts.validation, seed)
         wrong = [accuracy(model, panel, parts.validation, seed) for panel in panels]

@@ -18,7 +18,7 @@ import torch
 import typer
 from benchmarks.figures import FiguresOption, record
 
-from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images
 from veilcam_training.encoders import Setup, make_encoder
 from veilcam_training.models.classifiers import Task, make_layers
@@ -40,10 +40,10 @@ class Case:
         )
         with seeded(0, "classifier"):
             self.model = LenslessClassifier(camera, layers, 40.0)
-        self.optimiser = make_optimiser(self.model, Recipe())
+        self.optimiser = make_optimiser(self.model, FitSettings())
         if encoder == "encoded":
             camera.constant = False  # so that nothing is computed ahead
-        self.inputs = Inputs(self.model, images, Recipe())
+        self.inputs = Inputs(self.model, images, FitSettings())
 
     def seconds(self, chosen: torch.Tensor) -> float:
         """Duration of one step [s]."""

@@ -31,16 +31,14 @@ from veilcam_optics.effects.model import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Reach
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import parse_embedding
+from veilcam_training.config.settings import FitSettings, parse_embedding
 from veilcam_training.data import Images, open_source
 from veilcam_training.encoders import LearnedMask, Setup
 from veilcam_training.experiments.card_page import panels_of
 from veilcam_training.models.classifiers import Task, make_layers
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream
-from veilcam_training.trainer.step import evaluate
-from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
+from veilcam_training.trainer.step import Inputs, evaluate, make_optimiser, train_step
 
 INTERVAL = 4.303 / 3**0.5
 """Half of a 95 % interval of the mean of three, in standard deviations (Student's t, 2 degrees)."""
@@ -156,10 +154,10 @@ def fitted(
     layers = make_layers("FC800", task)
     with seeded(seed, "classifier"):
         model = LenslessClassifier(camera, layers, 40.0)
-    recipe = Recipe(batch=128)
-    optimiser = make_optimiser(model, recipe)
-    inputs, order = Inputs(model, images, recipe), stream(seed, "order")
-    parts = -(-len(images) // recipe.batch)
+    settings = FitSettings(batch=128)
+    optimiser = make_optimiser(model, settings)
+    inputs, order = Inputs(model, images, settings), stream(seed, "order")
+    parts = -(-len(images) // settings.batch)
     batches = [
         chosen
         for _ in range(epochs)
@@ -173,7 +171,7 @@ def fitted(
             camera.shine(light)
             shining = light
         for group in optimiser.param_groups:
-            group["lr"] = group["peak"] * recipe.rate_factor(progress)
+            group["lr"] = group["peak"] * settings.rate_factor(progress)
         train_step(model, inputs, chosen, optimiser)
     seconds = time.process_time() - started
     camera.shine(finest)

@@ -202,5 +202,3 @@ class FitSettings(BaseModel, frozen=True, extra="forbid", strict=True):
             )
             return None
         return PsfFile(self.psf, self.psf_pitch, self.psf_distance)
-
-

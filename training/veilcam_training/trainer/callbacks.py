@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from rich.console import Console
@@ -37,19 +37,27 @@ class Epoch:
     validation_accuracy: float
     validation_loss: float
     seconds: float
+    processor_seconds: float = 0.0
+    """Processor time of the fit up to the end of the epoch, preparation included [s]."""
 
 
-class Callback(Protocol):
-    """Callback that is called as a fit goes on."""
+class Callback:
+    """Callback that is called as a fit goes on; it does nothing."""
+
+    def stage(self, name: str) -> None:
+        """Take note that a stage of the fit begins, e.g. ``learning the mask``."""
+
+    def begin(self, epochs: int, images: int) -> None:
+        """Take note that so many epochs of so many images begin."""
 
     def step(self, epoch: int, done: int, steps: int) -> None:
-        """``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
+        """Take note that ``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
 
     def epoch(self, epoch: Epoch) -> None:
         """Take note that an epoch is over."""
 
 
-class MovingAverage:
+class MovingAverage(Callback):
     """Running mean of a classifier's weights over the steps; it forgets the first ones fast.
 
     Args:
@@ -72,9 +80,6 @@ class MovingAverage:
                 mean.lerp_(weights[name], share)
             else:
                 mean.copy_(weights[name])
-
-    def epoch(self, epoch: Epoch) -> None:
-        """Nothing: a mean of steps knows no epochs."""
 
     @contextmanager
     def applied(self) -> Iterator[None]:
@@ -108,12 +113,28 @@ def make_progress(console: Console) -> Progress:
     )
 
 
-class FitProgress:
-    """Shows one fit as one bar, with its validation accuracy."""
+class FitProgress(Callback):
+    """Shows one fit as one bar, with its validation accuracy; a line an epoch without a terminal.
 
-    def __init__(self, progress: Progress, name: str, epochs: int) -> None:
-        self._progress, self._epochs = progress, epochs
+    Args:
+        progress: display of the bars.
+        name: name of the fit.
+    """
+
+    def __init__(self, progress: Progress, name: str) -> None:
+        self._progress, self._name, self._epochs, self._images = progress, name, 1, 0
         self._task: TaskID = progress.add_task(name, start=False, total=None, note="")
+
+    def stage(self, name: str) -> None:
+        """Say what is done now."""
+        if self._progress.console.is_terminal:
+            self._progress.update(self._task, note=name)
+        else:
+            self._progress.console.print(name, highlight=False, soft_wrap=True)
+
+    def begin(self, epochs: int, images: int) -> None:
+        """Set the length of the bar."""
+        self._epochs, self._images = epochs, images
 
     def step(self, epoch: int, done: int, steps: int) -> None:
         """Move the bar; its clock starts with the first step."""
@@ -123,21 +144,33 @@ class FitProgress:
         )
 
     def epoch(self, epoch: Epoch) -> None:
-        """Show how well it does."""
-        note = f"epoch {epoch.number + 1}  validation {100 * epoch.validation_accuracy:.2f} %"
-        self._progress.update(self._task, note=note)
+        """Show how well it does, how fast it is, and how long it takes to the end."""
+        left = (self._epochs - epoch.number - 1) * epoch.seconds
+        note = (
+            f"epoch {epoch.number + 1} of {self._epochs}  "
+            f"validation {100 * epoch.validation_accuracy:.2f} %  "
+            f"{self._images / max(epoch.seconds, 1e-9):,.0f} pictures/s"
+        )
+        if self._progress.console.is_terminal:
+            self._progress.update(self._task, note=note)
+        else:
+            line = f"{self._name}: {note}  {minutes(left)} left"
+            self._progress.console.print(line, highlight=False, soft_wrap=True)
 
 
-class TensorBoardLog:
+def minutes(seconds: float) -> str:
+    """Return a duration in words, e.g. ``2 min 5 s``."""
+    whole, rest = divmod(round(seconds), 60)
+    return f"{whole} min {rest} s" if whole else f"{rest} s"
+
+
+class TensorBoardLog(Callback):
     """Writes accuracies and losses of one run into ``folder``. No mask is ever logged."""
 
     def __init__(self, folder: Path) -> None:
         from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - slow to import
 
         self._writer = SummaryWriter(str(folder))
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        """Nothing: one point for each epoch is enough."""
 
     def epoch(self, epoch: Epoch) -> None:
         """Write one point of each curve."""
@@ -152,7 +185,7 @@ class TensorBoardLog:
         self._writer.flush()
 
 
-class CsvLog:
+class CsvLog(Callback):
     """Writes accuracies and losses of one run into a file, a row for each epoch. No mask is logged.
 
     A run that is taken up goes on in it; rows of epochs that are done again are replaced.
@@ -160,14 +193,11 @@ class CsvLog:
 
     COLUMNS = (
         *("epoch", "training_loss", "validation_loss"),
-        *("training_accuracy", "validation_accuracy", "seconds"),
+        *("training_accuracy", "validation_accuracy", "seconds", "processor_seconds"),
     )
 
     def __init__(self, path: Path) -> None:
         self._path = path
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        """Nothing: one row for each epoch is enough."""
 
     def epoch(self, epoch: Epoch) -> None:
         """Write one row."""
@@ -183,6 +213,7 @@ class CsvLog:
                 epoch.training_accuracy,
                 epoch.validation_accuracy,
                 epoch.seconds,
+                epoch.processor_seconds,
             ),
         ]
         written = io.StringIO()

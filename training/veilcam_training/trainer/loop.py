@@ -4,8 +4,9 @@ import copy
 import dataclasses
 import io
 import pickle
+import statistics
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from veilcam_training.models.scene import begin, confidence_factor
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
 from veilcam_training.trainer.step import (
+    Evaluation,
     Inputs,
     evaluate,
     judge,
@@ -32,6 +34,10 @@ from veilcam_training.trainer.step import (
     train_step,
 )
 
+TRIED_STEPS = 5
+"""Steps that are timed to choose a number of epochs."""
+MOST_EPOCHS = 300
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -40,6 +46,8 @@ class Fit:
     model: LenslessClassifier
     history: tuple[Epoch, ...]
     best: Epoch
+    epochs: int
+    """Epochs of its whole cycle."""
 
 
 def fit(
@@ -47,6 +55,8 @@ def fit(
     split: Split,
     settings: FitSettings,
     *,
+    until: float | None = None,
+    begun: float | None = None,
     checkpoint: Path | None = None,
     fingerprint: str = "",
     callbacks: Sequence[Callback] = (),
@@ -61,6 +71,9 @@ def fit(
         model: freshly made, on the device that is to be used.
         split: images to fit to and to select with.
         settings: settings of the fit.
+        until: time of the process's clock (:func:`time.process_time`) at which the epochs are to be
+            over [s]: as many are chosen as fit. None for those of the settings.
+        begun: time of that clock at which the fit began, if that was earlier [s].
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: digest of all that the result depends on; guards the checkpoint.
         callbacks: called after every step and epoch.
@@ -69,17 +82,33 @@ def fit(
         TrainingError: a checkpoint of another fit, or a loss that is no number.
     """
     seed, fresh = settings.seed, settings.fresh
+    for callback in callbacks:
+        callback.stage("measuring the training images")
     inputs = Inputs(model, split.training, settings)
     if inputs.begun_with is not None:
         begin(model.classifier, inputs.begun_with)
     average = MovingAverage(model, settings.averaging) if settings.averaging else None
     state = _State(model, settings, average)
-    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
-        state.load(saved)
+    state.begun = time.process_time() if begun is None else begun
     batches = None if fresh is None else min(fresh.validation_masks, len(split.validation))
     held: Tensor | None = None
     if model.measures_once:
         held = measure(model, split.validation, seed, "validation", batches=batches)
+
+    def validate() -> Evaluation:
+        if held is not None:
+            return judge(model, held, split.validation.labels)
+        return evaluate(model, split.validation, seed, "validation", batches=batches)
+
+    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
+        state.load(saved)
+    elif until is not None:
+        epochs = _affordable(state, inputs, len(split.training), validate, until)
+        state.settings = settings.model_copy(update={"epochs": epochs})
+        if checkpoint is not None:  # a run that is taken up has the same cycle
+            save_checkpoint(checkpoint, fingerprint, state.dump())
+    for callback in callbacks:
+        callback.begin(state.settings.epochs, len(split.training))
     watched = callbacks if average is None else (average, *callbacks)
     while not state.is_over:
         started = time.monotonic()
@@ -87,12 +116,16 @@ def fit(
             inputs.begin_epoch(seed, state.next_epoch)
             loss, accuracy = _run_epoch(state, inputs, split.training.labels, seed, watched)
         with state.averaged():
-            if held is not None:
-                result = judge(model, held, split.validation.labels)
-            else:
-                result = evaluate(model, split.validation, seed, "validation", batches=batches)
-            seconds = time.monotonic() - started
-            epoch = Epoch(state.next_epoch, loss, accuracy, result.accuracy, result.loss, seconds)
+            result = validate()
+            epoch = Epoch(
+                state.next_epoch,
+                loss,
+                accuracy,
+                result.accuracy,
+                result.loss,
+                time.monotonic() - started,
+                state.spent + time.process_time() - state.begun,
+            )
             state.finish(epoch)
         if checkpoint is not None:
             save_checkpoint(checkpoint, fingerprint, state.dump())
@@ -103,7 +136,28 @@ def fit(
     if held is not None:
         logits = logits_of(model, held)
         model.rescale(confidence_factor(logits, split.validation.labels))
-    return Fit(model, tuple(state.history), state.best)
+    return Fit(model, tuple(state.history), state.best, state.settings.epochs)
+
+
+def _affordable(
+    state: "_State", inputs: Inputs, count: int, validate: Callable[[], object], until: float
+) -> int:
+    """Return how many epochs fit until a time, from a few steps that leave no trace; at least 1."""
+    settings, kept = state.settings, copy.deepcopy(state.dump())
+    batch = min(settings.batch, count)
+    inputs.begin_epoch(settings.seed, 0)
+    state.model.train()
+    times = []
+    with seeded(settings.seed, "budget"):
+        for _ in range(TRIED_STEPS):
+            started = time.process_time()
+            train_step(state.model, inputs, torch.arange(batch), state.optimiser)
+            times.append(time.process_time() - started)
+    started = time.process_time()
+    validate()
+    epoch = statistics.median(times) * (count // batch) + time.process_time() - started
+    state.load(kept)
+    return max(1, min(MOST_EPOCHS, int((until - time.process_time()) / epoch)))
 
 
 class _State:
@@ -116,6 +170,8 @@ class _State:
         self.optimiser = make_optimiser(model, settings)
         self.history: list[Epoch] = []
         self.best_weights: dict[str, Tensor] = {}
+        self.begun = self.spent = 0.0
+        """Start on the process's clock, and processor time before that [s]."""
 
     @property
     def next_epoch(self) -> int:
@@ -149,6 +205,7 @@ class _State:
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "best_weights": self.best_weights,
+            "epochs": self.settings.epochs,
             "history": [dataclasses.asdict(epoch) for epoch in self.history],
         }
 
@@ -158,7 +215,10 @@ class _State:
         if self.average is not None:
             self.average.load_state_dict(saved["average"])
         self.best_weights = saved["best_weights"]
+        self.settings = self.settings.model_copy(update={"epochs": saved["epochs"]})
         self.history = [Epoch(**epoch) for epoch in saved["history"]]
+        if self.history:
+            self.spent = self.history[-1].processor_seconds
 
 
 def _run_epoch(
