@@ -2,6 +2,7 @@
 
 import math
 import secrets
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -36,7 +37,7 @@ from veilcam_training.hiding.eye import Eye, drawn_eye
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.loop import Fit, fit, load_checkpoint, save_checkpoint
-from veilcam_training.trainer.step import evaluate
+from veilcam_training.trainer.step import evaluate, judge, measure
 from veilcam_training.transforms.scene import Identity
 
 WRONG_KEY_IMAGES = 1000
@@ -44,6 +45,8 @@ WRONG_KEY_IMAGES = 1000
 CHECKED_ENTRIES = 16
 """Of a transfer: an interval of a factor 1.5 to either side, in half a second of one core."""
 SEED_BITS = 63
+CLOSING = 8.0
+"""Processor time that is kept of a budget for the test, the bundle and the report [s]."""
 COPIES = (0.95, 1.25)
 """Least counts of copies, as shares of those of random masks: of the first attempt, and of a second
 one where an eye sees the scene all the same."""
@@ -60,8 +63,8 @@ class FitResult:
     settings: FitSettings
     fit: Fit
     accuracy: Accuracy
-    predictions: Tensor
-    """Labels of the test set, int64 (count,)."""
+    logits: Tensor
+    """Of the test set, float32 (count, classes)."""
 
     @property
     def light(self) -> LightPlan | None:
@@ -101,9 +104,11 @@ def run_fit(
     camera: Camera,
     *,
     training: Images | None = None,
+    budget: float | None = None,
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
     callbacks: Sequence[Callback] = (),
+    held: Callable[[LenslessClassifier], None] = lambda _: None,
 ) -> FitResult:
     """Fit, select on the validation split, then look at the test set once.
 
@@ -112,15 +117,26 @@ def run_fit(
         source: the data set.
         camera: the device.
         training: training images if they have been read before.
+        budget: processor time that the fit may take [s]; the number of epochs follows from it. None
+            for the epochs of the settings.
         device: device that computes.
         checkpoint: see :func:`veilcam_training.trainer.loop.fit`.
         callbacks: called after every step and epoch.
+        held: called with the model once its mask is learned, where the classifier is fitted after.
 
     Raises:
         TrainingError: settings or data that cannot be used.
     """
+    begun = time.process_time()
     parts, test = _read(source, device, training)
     model = make_model(settings, source, camera).to(device)
+    require(
+        budget is None or (model.measures_once and not settings.end_to_end),
+        "a budget is for a Scene classifier that is fitted behind a finished mask: "
+        "leave out the budget, or end_to_end",
+    )
+    for callback in callbacks:
+        callback.stage("learning the mask")
     eye = _eye(model) if settings.hidden else None
     for attempt, least in enumerate((0.0,) if eye is None else COPIES):
         if attempt:
@@ -131,6 +147,10 @@ def run_fit(
         again = attempt + 1 < len(COPIES)
         if again and model.measures_once and not settings.end_to_end and _seen(eye, model):
             continue  # what is learned from now on is the classifier alone
+        tested: Tensor | None = None
+        if model.measures_once and not settings.end_to_end:
+            held(model)
+            tested = measure(model, test, settings.seed, "test")
         fitted = _in_stages(
             model,
             parts,
@@ -138,16 +158,16 @@ def run_fit(
             checkpoint=_numbered(checkpoint, attempt),
             fingerprint=settings.fingerprint(source),
             callbacks=callbacks,
+            until=None if budget is None else begun + budget - CLOSING,
+            begun=begun,
         )
         if not (again and _seen(eye, model)):
             break
-    result = evaluate(fitted.model, test, settings.seed, "test")
-    return FitResult(
-        settings,
-        fitted,
-        Accuracy(result.accuracy, f"{source.name} test", len(test)),
-        result.predictions,
-    )
+    if tested is None:
+        tested = measure(fitted.model, test, settings.seed, "test")
+    result = judge(fitted.model, tested, test.labels)
+    accuracy = Accuracy(result.accuracy, f"{source.name} test", len(test))
+    return FitResult(settings, fitted, accuracy, result.logits)
 
 
 def _eye(model: LenslessClassifier) -> Eye | None:
@@ -180,10 +200,12 @@ def _in_stages(
     checkpoint: Path | None,
     fingerprint: str,
     callbacks: Sequence[Callback],
+    until: float | None,
+    begun: float,
 ) -> Fit:
     """Fit the classifier, and then mask and classifier together where that is asked for."""
-    go_on = partial(fit, fingerprint=fingerprint, callbacks=callbacks)
-    fitted = go_on(model, parts, settings, checkpoint=checkpoint)
+    go_on = partial(fit, fingerprint=fingerprint, callbacks=callbacks, begun=begun)
+    fitted = go_on(model, parts, settings, checkpoint=checkpoint, until=until)
     if not (settings.end_to_end and isinstance(model.encoder, LearnedMask)):
         return fitted
     model.encoder.hold(held=False)

@@ -174,12 +174,12 @@ def train_step(
 
 @dataclass(frozen=True)
 class Evaluation:
-    """``accuracy`` in [0, 1], mean cross entropy ``loss`` [nats], and every predicted label."""
+    """``accuracy`` in [0, 1], mean cross entropy ``loss`` [nats], and all logits."""
 
     accuracy: float
     loss: float
-    predictions: Tensor
-    """int64 (count,)."""
+    logits: Tensor
+    """float32 (count, classes)."""
 
 
 def evaluate(
@@ -252,10 +252,9 @@ def judge(model: LenslessClassifier, inputs: Tensor, labels: Tensor) -> Evaluati
         labels: int64 (count,).
     """
     logits = logits_of(model, inputs)
-    predicted = logits.argmax(1)
-    right = int((predicted == labels).sum())
+    right = int((logits.argmax(1) == labels).sum())
     loss = cross_entropy(logits, labels).item()
-    return Evaluation(right / len(labels), loss, predicted.cpu())
+    return Evaluation(right / len(labels), loss, logits.cpu())
 
 
 @torch.no_grad()
