@@ -69,12 +69,24 @@ def main(
             for path in shown:
                 camera.hold_scene(path.read_bytes())
                 said[path] = camera.classify().label
+        command = (train, "predict", str(bundle), *map(str, shown))
+        told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
         if picture is not None:
             draw(picture, said)
     right = sum(label == path.parent.name for path, label in said.items())
     accuracy = 100 * right / len(shown)
     print(f"{right} of {len(shown)} right: {accuracy:.2f} %")
-    record(figures, {"folder_accuracy": accuracy, "folder_commands": len(commands) + 1})
+    labels = [line.split("\t")[1] for line in told.splitlines()]
+    agreement = sum(a == b for a, b in zip(labels, said.values(), strict=True)) / len(shown)
+    print(f"predict and the daemon agree on {100 * agreement:.2f} %")
+    record(
+        figures,
+        {
+            "folder_accuracy": accuracy,
+            "folder_commands": len(commands) + 1,
+            "predict_agreement": agreement,
+        },
+    )
 
 
 if __name__ == "__main__":

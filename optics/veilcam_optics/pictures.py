@@ -28,6 +28,8 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".mpo", ".webp", ".bmp", ".tif", ".tiff", "
 MAX_BYTES = 2**30
 MAX_PIXELS = 2**27
 """A small file can claim to have many more."""
+LUMA = (0.299, 0.587, 0.114)
+"""Shares of red, green and blue in gray (ITU-R BT.601)."""
 LEAST_SHARE = 1 / 8
 """Of its range; a picture that uses less is dark or flat, or has 12 bits in a file of 16."""
 
@@ -85,6 +87,54 @@ def read_picture(source: Path | bytes, *, most: int = MAX_PIXELS) -> Values:
 def white(values: npt.NDArray[Any]) -> float:
     """Return the number that stands for white: 1 of floats."""
     return 1.0 if values.dtype.kind == "f" else float(np.iinfo(values.dtype).max)
+
+
+def check_reflectances(picture: npt.NDArray[Any]) -> None:
+    """Raise :class:`PictureError` unless an array is a picture of reflectances.
+
+    Args:
+        picture: (rows, columns) or (rows, columns, 3), of uint8 or uint16, or floats in [0, 1].
+    """
+    if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or picture.size == 0:
+        raise PictureError(
+            f"has the shape {picture.shape}: use (rows, columns), or (rows, columns, 3) for colour"
+        )
+    whole = picture.dtype.newbyteorder("=") in (np.uint8, np.uint16)
+    if not whole and not (picture.dtype.kind == "f" and ((picture >= 0) & (picture <= 1)).all()):
+        raise PictureError("holds no reflectances: use uint8, uint16, or floats in [0, 1]")
+
+
+def as_scene(picture: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Return a picture as a scene: cut about its centre to the scene's form, reduced by area.
+
+    Args:
+        picture: picture of :func:`check_reflectances`; the largest whole number is white.
+        shape: (rows, columns) of the scene, whose pixels are square; (3, rows, columns) in colour.
+
+    Returns:
+        Reflectances in [0, 1], of ``shape``; gray is the Rec. 601 luma of colours.
+
+    Raises:
+        PictureError: it is no such picture.
+    """
+    from PIL import Image, ImageOps  # noqa: PLC0415 - only who reads pictures needs it
+
+    check_reflectances(picture)
+    rows, columns = shape[-2:]
+    planes = [
+        np.asarray(
+            ImageOps.fit(
+                Image.fromarray(np.asarray(plane, np.float32)),
+                (columns, rows),
+                Image.Resampling.BOX,
+            )
+        )
+        for plane in np.moveaxis(np.atleast_3d(picture), 2, 0)
+    ]
+    scene = np.stack(planes) / np.float32(white(picture))
+    if len(shape) == 2:
+        scene = scene[0] if len(scene) == 1 else np.tensordot(LUMA, scene, 1)
+    return np.array(np.broadcast_to(scene.clip(0, 1), shape), np.float32)
 
 
 def used_range(values: npt.NDArray[Any]) -> str | None:

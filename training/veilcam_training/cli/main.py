@@ -37,6 +37,7 @@ from veilcam_training.cli.options import (
     show_summary,
     watch,
 )
+from veilcam_training.cli.predict import predict_command
 from veilcam_training.config.recipes import RECIPES
 from veilcam_training.config.settings import load_settings
 from veilcam_training.data import SOURCES, recognise
@@ -281,6 +282,7 @@ app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
 app.command("adapt")(adapt_command)
 app.command("export")(export_command)
+app.command("predict")(predict_command)
 app.add_typer(bundle_app, name="bundle")
 app.add_typer(attack_app, name="attack")
 

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps
 
 from veilcam_optics.pictures import (
     KINDS,
     SUFFIXES,
     PictureError,
     Values,
+    as_scene,
+    check_reflectances,
     read_picture,
     used_range,
-    white,
 )
 from veilcam_training.data.base import UNREADABLE, digest
 from veilcam_training.data.folders import PART_NAMES, Part, composed, find_layout, shown
@@ -33,8 +33,6 @@ HALVES: tuple[Part, Part] = ("train", "test")
 """Parts that arrays have files of."""
 SMALL_NAMED = 3
 """Pictures of a small range that a remark names."""
-LUMA = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in gray (Rec. 601)."""
 
 
 @dataclass(frozen=True)
@@ -118,29 +116,11 @@ class Collection(ABC):
         Raises:
             TrainingError: damaged pictures; all are named.
         """
-        reduced = _reduced_deep if self.deep else _reduced
-        planes = [reduced(picture, shape, colour=colour) for picture in self.pictures(indices)]
-        kind = np.int32 if self.deep else np.uint8
-        stacked = np.stack(planes) if planes else np.zeros((0, *shape, *(3,) * colour), kind)
-        return np.ascontiguousarray(stacked.transpose(0, 3, 1, 2)) if colour else stacked
-
-
-def _reduced(picture: Values, shape: tuple[int, int], *, colour: bool) -> Pixels:
-    image = Image.fromarray(picture).convert("RGB" if colour else "L")
-    return np.asarray(ImageOps.fit(image, shape[::-1], Image.Resampling.BOX))
-
-
-def _reduced_deep(picture: Values, shape: tuple[int, int], *, colour: bool) -> Pixels:
-    values = picture.astype(np.float32) * np.float32(65535 / white(picture))
-    if values.ndim == 3 and not colour:
-        values = values @ np.array(LUMA, np.float32)
-    planes = [values] if values.ndim == 2 else list(np.moveaxis(values, 2, 0))
-    fitted = [
-        np.asarray(ImageOps.fit(Image.fromarray(plane), shape[::-1], Image.Resampling.BOX))
-        for plane in planes
-    ]
-    whole = fitted[0] if not colour else np.stack(fitted * (3 // len(fitted)), axis=-1)
-    return np.asarray(np.rint(whole.clip(0, 65535)), dtype=np.int32)
+        form = (3, *shape) if colour else shape
+        pixels: Pixels = np.empty((len(indices), *form), np.int32 if self.deep else np.uint8)
+        for number, picture in enumerate(self.pictures(indices)):
+            pixels[number] = np.rint(as_scene(picture, form) * (65535 if self.deep else 255))
+        return pixels
 
 
 @dataclass(frozen=True)
@@ -258,8 +238,7 @@ def _examine(path: Path) -> Header | str:
 
 def _read(path: Path) -> Values:
     values = read_picture(path)
-    if values.dtype.kind == "f" and (values.min() < 0 or values.max() > 1):
-        raise PictureError("holds numbers outside 0 to 1: scale it so that white is 1")
+    check_reflectances(values)
     return values
 
 

@@ -65,7 +65,7 @@ def find_layout(folder: Path) -> Layout | None:
     """
     if not folder.is_dir():
         return None
-    paths, others = choose_pictures(_entries(folder, folder.resolve(), set()))
+    paths, others = pictures_below(folder)
     tree = _tree(path.relative_to(folder).parts for path in paths)
     named = [name for name in tree if _part(name)]
     remarks: list[str] = []
@@ -92,6 +92,15 @@ def find_layout(folder: Path) -> Layout | None:
     if passed := +others:
         remarks.insert(0, f"passed over: {in_words(passed)}")
     return Layout(tuple(found), tuple(remarks))
+
+
+def pictures_below(folder: Path) -> tuple[list[Path], Counter[str]]:
+    """Return the pictures in a folder and all folders in it, and the number of other files by kind.
+
+    Raises:
+        TrainingError: a folder cannot be read.
+    """
+    return choose_pictures(_entries(folder, folder.resolve(), set()))
 
 
 def _entries(folder: Path, root: Path, followed: set[Path]) -> Iterator[Path]:

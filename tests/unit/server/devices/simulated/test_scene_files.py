@@ -85,9 +85,7 @@ def test_colour_of_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(data, "open_source", lambda *_: Red())
     (scene,) = open_scenes(settings(tmp_path, f"cifar10:{tmp_path}:test"), SHAPE)
-    middle = scene.read()[:, 7:21]
-    assert middle == pytest.approx(0.299)
-    assert scene.read().sum() == pytest.approx(middle.sum())
+    assert scene.read() == pytest.approx(0.299)
 
 
 def test_scene_that_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Path) -> None:
