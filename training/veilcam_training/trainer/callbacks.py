@@ -37,6 +37,8 @@ class Epoch:
     validation_accuracy: float
     validation_loss: float
     seconds: float
+    processor_seconds: float = 0.0
+    """Processor time of the fit up to the end of this epoch [s]."""
 
 
 class Callback(Protocol):
