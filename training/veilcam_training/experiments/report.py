@@ -82,7 +82,15 @@ def write_report(folder: Path, report: Report) -> None:
         right=right,
         total=total,
         interval=binomtest(right, total).proportion_ci(0.95, "wilson"),
-        rows=list(zip(report.labels, counts.diag().tolist(), *_sums(counts), strict=True)),
+        rows=list(
+            zip(
+                report.labels,
+                counts.diag().tolist(),
+                counts.sum(1).tolist(),
+                counts.sum(0).tolist(),
+                strict=True,
+            )
+        ),
         pictures={name: embedded(picture) for name, picture in pictures.items()},
         percent=_percent,
     )
@@ -119,11 +127,6 @@ def worst_first(truth: Tensor, logits: Tensor) -> Tensor:
     """
     surprise = -logits.double().log_softmax(1).gather(1, truth[:, None])[:, 0]
     return surprise.argsort(descending=True, stable=True)
-
-
-def _sums(counts: Tensor) -> tuple[list[int], list[int]]:
-    """Images of each true class, and of each predicted one."""
-    return counts.sum(1).tolist(), counts.sum(0).tolist()
 
 
 def _percent(part: float, whole: float = 1.0) -> str:
@@ -172,8 +175,7 @@ def _draw_history(history: Sequence[Epoch], preparation: float) -> Figure:
         chosen = max(history, key=lambda e: (e.validation_accuracy, -e.validation_loss))
         place = (chosen.processor_seconds / size, 100 * chosen.validation_accuracy)
         label = f"chosen: epoch {chosen.number + 1}, {place[1]:.1f} %"
-        ring = {"marker": "o", "ms": 11, "mfc": "none", "mew": 2, "ls": "", "color": RED}
-        axes.plot(*place, **ring, label=label)
+        axes.plot(*place, "o", ms=11, mfc="none", mew=2, color=RED, label=label)
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -2), min(high, 102))
     axes.set_xlim(0, 1.03 * last / size or 1)
@@ -207,8 +209,8 @@ def _draw_confusion(counts: Tensor, names: Sequence[str]) -> Figure:
     for row, column in counts.nonzero().tolist():
         share, count = shares[row, column], int(counts[row, column])
         colour = "white" if share > 55 else "black"
-        style = {"ha": "center", "va": "center", "color": colour, "fontsize": 8}
-        axes.text(column, row, f"{share:.0f}\n({count})", **style)
+        label = f"{share:.0f}\n({count})"
+        axes.text(column, row, label, ha="center", va="center", color=colour, fontsize=SMALL)
     return figure
 
 
