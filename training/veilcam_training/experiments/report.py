@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,8 +28,6 @@ TICKS = 25
 """Most names along a side of a confusion matrix."""
 SMALL, LONGEST = 8, 84
 """Size of small letters, and the greatest width of a name in them [points]."""
-UNDRAWN = "□"
-"""Mark for a character that the font of the pictures does not have."""
 BLUE, ORANGE, RED, FAINT = "#1f6fb5", "#d98324", "#b3261e", "#5d656f"
 
 
@@ -70,31 +69,19 @@ def write_report(folder: Path, report: Report) -> None:
     truth, logits = report.images.labels.cpu(), report.logits.cpu()
     counts = confusion(truth, logits)
     names = _drawable(report.labels)
-    pictures = {
-        "accuracy": png(_draw_history(report.history, report.preparation), DPI),
-        "confusion": png(_draw_confusion(counts, names), DPI),
-        "worst": png(_draw_worst(report.images, logits, names), DPI),
+    contents = {
+        "accuracy.png": png(_draw_history(report.history, report.preparation), DPI),
+        "confusion.png": png(_draw_confusion(counts, names), DPI),
+        "worst.png": png(_draw_worst(report.images, logits, names), DPI),
     }
     right, total = int(counts.trace()), int(counts.sum())
     written = page(
         "report",
-        report=report,
-        right=right,
-        total=total,
+        **{"report": report, "right": right, "total": total, "percent": _percent},
         interval=binomtest(right, total).proportion_ci(0.95, "wilson"),
-        rows=list(
-            zip(
-                report.labels,
-                counts.diag().tolist(),
-                counts.sum(1).tolist(),
-                counts.sum(0).tolist(),
-                strict=True,
-            )
-        ),
-        pictures={name: embedded(picture) for name, picture in pictures.items()},
-        percent=_percent,
+        figures=torch.stack((counts.diag(), counts.sum(1), counts.sum(0)), 1).tolist(),
+        pictures={name.removesuffix(".png"): embedded(each) for name, each in contents.items()},
     )
-    contents = {f"{name}.png": picture for name, picture in pictures.items()}
     # A path among the facts may be of bytes that UTF-8 cannot hold.
     contents["report.html"] = written.encode(errors="backslashreplace")
     try:
@@ -146,7 +133,7 @@ def _drawable(labels: Sequence[str]) -> list[str]:
 
     names = []
     for number, label in enumerate(labels):
-        name = "".join(each if ord(each) in known else UNDRAWN for each in label)
+        name = "".join(each if ord(each) in known else "□" for each in label)
         lead = "" if name == label else f"#{number} "
         if width(name) > LONGEST:
             lead = f"#{number} "
@@ -177,10 +164,8 @@ def _draw_history(history: Sequence[Epoch], preparation: float) -> Figure:
         label = f"chosen: epoch {chosen.number + 1}, {place[1]:.1f} %"
         axes.plot(*place, "o", ms=11, mfc="none", mew=2, color=RED, label=label)
     low, high = axes.get_ylim()
-    axes.set_ylim(max(low, -2), min(high, 102))
-    axes.set_xlim(0, 1.03 * last / size or 1)
-    axes.set_xlabel(f"processor time [{unit}]")
-    axes.set_ylabel("accuracy [%]")
+    axes.set(ylim=(max(low, -2), min(high, 102)), ylabel="accuracy [%]")
+    axes.set(xlim=(0, 1.03 * last / size or 1), xlabel=f"processor time [{unit}]")
     axes.grid(color="#e3e5e8", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -200,8 +185,7 @@ def _draw_confusion(counts: Tensor, names: Sequence[str]) -> Figure:
     flat = max(map(len, ticks)) * classes <= 40
     axes.set_xticks(places, ticks, rotation=0 if flat else 90, fontsize=9, parse_math=False)
     axes.set_yticks(places, ticks, fontsize=9, parse_math=False)
-    axes.set_xlabel("predicted")
-    axes.set_ylabel("true")
+    axes.set(xlabel="predicted", ylabel="true")
     if classes > NUMBERED:
         figure.colorbar(drawn, label="share of the true class [%]")
         return figure
@@ -225,6 +209,7 @@ def _draw_worst(images: Images, logits: Tensor, names: Sequence[str]) -> Figure:
     height = side * min(scenes.shape[-2] / scenes.shape[-1], 1.5)
     pitch = height + 0.55
     figure = Figure(figsize=(WIDTH, rows * pitch))
+    style: dict[str, Any] = {"ha": "center", "va": "top", "size": SMALL, "parse_math": False}
     for place, (scene, truth, guess, share) in enumerate(
         zip(scenes, shown.labels.tolist(), predicted.tolist(), sure.tolist(), strict=True)
     ):
@@ -238,15 +223,5 @@ def _draw_worst(images: Images, logits: Tensor, names: Sequence[str]) -> Figure:
         # The mark before the arrow keeps it to the left of names that are written from the right.
         caption = f"{names[truth]}\n\u200e→ {names[guess]}\n{100 * share:.0f} %"
         colour = FAINT if truth == guess else RED
-        axes.text(
-            0.5,
-            -0.04,
-            caption,
-            transform=axes.transAxes,
-            ha="center",
-            va="top",
-            fontsize=SMALL,
-            color=colour,
-            parse_math=False,
-        )
+        axes.text(0.5, -0.04, caption, transform=axes.transAxes, color=colour, **style)
     return figure
