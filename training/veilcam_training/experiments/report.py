@@ -77,7 +77,10 @@ def write_report(folder: Path, report: Report) -> None:
     right, total = int(counts.trace()), int(counts.sum())
     written = page(
         "report",
-        **{"report": report, "right": right, "total": total, "percent": _percent},
+        report=report,
+        right=right,
+        total=total,
+        percent=_percent,
         interval=binomtest(right, total).proportion_ci(0.95, "wilson"),
         figures=torch.stack((counts.diag(), counts.sum(1), counts.sum(0)), 1).tolist(),
         pictures={name.removesuffix(".png"): embedded(each) for name, each in contents.items()},
