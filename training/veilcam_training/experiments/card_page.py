@@ -1,13 +1,10 @@
 """``card.html``: a privacy card to be read, with a picture of what an attacker sees."""
 
-import base64
-import io
 import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
@@ -15,6 +12,7 @@ from torch import Tensor
 from veilcam_training.attacks.card.study import Study
 from veilcam_training.attacks.card.threats import CLAIMED
 from veilcam_training.bundle import CardRow, PrivacyCard
+from veilcam_training.experiments.pages import embedded, page, png
 
 Floats = npt.NDArray[np.float32]
 
@@ -30,18 +28,8 @@ def write_page(card: PrivacyCard, pictures: bytes) -> str:
         card: is shown.
         pictures: PNG of :func:`draw_pictures`.
     """
-    environment = Environment(
-        loader=PackageLoader("veilcam_training.experiments"),
-        autoescape=select_autoescape(("html.jinja",)),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = number
-    source = "data:image/png;base64," + base64.b64encode(pictures).decode()
-    return environment.get_template("card.html.jinja").render(
-        card=card, pictures=source, claimed=CLAIMED[card.form], place=place
-    )
+    claimed, source = CLAIMED[card.form], embedded(pictures)
+    return page("card", card=card, pictures=source, claimed=claimed, place=place, number=number)
 
 
 def number(value: float, unit: str) -> str:
@@ -83,9 +71,7 @@ def draw_pictures(study: Study) -> bytes:
             else:
                 axes.imshow(_as_picture(picture, shape), cmap="magma")
         axes_row[0].set_ylabel(title, rotation=0, ha="right", va="center", fontsize=13)
-    stream = io.BytesIO()
-    figure.savefig(stream, dpi=200, facecolor="white", metadata={"Software": None})
-    return stream.getvalue()
+    return png(figure, 200)
 
 
 def panels_of(down: int, across: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
