@@ -34,10 +34,10 @@ from veilcam_training.experiments.model import (
 )
 from veilcam_training.files import read_private, write_private
 from veilcam_training.hiding.eye import Eye, drawn_eye
-from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.loop import Fit, fit, load_checkpoint, save_checkpoint
-from veilcam_training.trainer.step import evaluate, judge, measure
+from veilcam_training.trainer.step import judge, measure
 from veilcam_training.transforms.scene import Identity
 
 WRONG_KEY_IMAGES = 1000
@@ -91,6 +91,8 @@ class FreshResult:
     """How many different masks were tested on, none of which it was fitted to."""
     wrong_key_accuracy: float
     """The same, every measurement decoded with the mask of another epoch."""
+    logits: Tensor
+    """Of the test set, float32 (count, classes)."""
 
     @property
     def light(self) -> LightPlan | None:
@@ -289,9 +291,11 @@ def run_fresh(
     camera: Camera,
     *,
     masks: int | None = None,
+    budget: float | None = None,
     device: torch.device | str = "cpu",
     work: Path | None = None,
     callbacks: Sequence[Callback] = (),
+    held: Callable[[FreshClassifier], None] = lambda _: None,
 ) -> FreshResult:
     """Fit for fresh masks, select on the validation split, then look at the test set once.
 
@@ -300,13 +304,16 @@ def run_fresh(
         source: the data set.
         camera: the device.
         masks: number of masks to test on; by default ``TEST_MASKS``.
+        budget: as of :func:`run_fit`.
         device: device that computes.
         work: folder to leave statistics and checkpoints in; what is in it is taken up again.
         callbacks: called after every step and epoch.
+        held: called with the model once its masks' ranges are learned.
 
     Raises:
         TrainingError: settings or data that cannot be used.
     """
+    begun = time.process_time()
     parts, test = _read(source, device)
     fingerprint = settings.fingerprint(source)
     statistics = _statistics(
@@ -315,27 +322,33 @@ def run_fresh(
         lambda: fresh_statistics(settings, camera, source.scene, parts.training),
     )
     model = make_fresh_model(settings, source, camera, statistics).to(device)
+    for callback in callbacks:
+        callback.stage("learning the ranges of masks")
     model.encoder.learn_range()
+    held(model)
+    tested = min(TEST_MASKS, len(test)) if masks is None else masks
+    some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
+
+    def measured(images: Images, batches: int, *, wrong_key: bool) -> Tensor:
+        model.wrong_key = wrong_key
+        return measure(model, images, settings.seed, "test", batches=batches)
+
+    wrong = measured(some, min(tested, len(some)), wrong_key=True)
+    right = measured(test, tested, wrong_key=False)
     fitted = fit(
         model,
         parts,
         settings,
+        until=None if budget is None else begun + budget - CLOSING,
+        begun=begun,
         checkpoint=None if work is None else work / "fit.checkpoint",
         fingerprint=fingerprint,
         callbacks=callbacks,
     )
-
-    tested = min(TEST_MASKS, len(test)) if masks is None else masks
-
-    def test_on(images: Images, batches: int, *, wrong_key: bool) -> float:
-        model.wrong_key = wrong_key
-        return evaluate(model, images, settings.seed, "test", batches=batches).accuracy
-
-    some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
-    right = test_on(test, tested, wrong_key=False)
-    wrong = test_on(some, min(tested, len(some)), wrong_key=True)
-    accuracy = Accuracy(right, f"{source.name} test", len(test))
-    return FreshResult(settings, fitted, model.encoder, accuracy, tested, wrong)
+    result = judge(model, right, test.labels)
+    accuracy = Accuracy(result.accuracy, f"{source.name} test", len(test))
+    mistaken = judge(model, wrong, some.labels).accuracy
+    return FreshResult(settings, fitted, model.encoder, accuracy, tested, mistaken, result.logits)
 
 
 def _read(

@@ -16,6 +16,7 @@ from veilcam_training.bundle import (
     Bundle,
     BundleError,
     Fresh,
+    Hiding,
     Pair,
     TransferError,
     read_bundle,
@@ -25,13 +26,20 @@ from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
 from veilcam_training.encoders.fresh import FreshCamera
+from veilcam_training.encoders.registry import WITH_PANEL
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import HERE, Executor
-from veilcam_training.experiments.fit import FitResult, FreshResult, light_plan, run_fit
+from veilcam_training.experiments.fit import (
+    FitResult,
+    FreshResult,
+    light_plan,
+    run_fit,
+    run_fresh,
+)
 from veilcam_training.experiments.model import make_fresh_model, make_model, no_statistics
 from veilcam_training.experiments.records import provenance
 from veilcam_training.hiding.measuring import measure
-from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.models.network import weights_of
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.callbacks import Callback
@@ -90,6 +98,79 @@ def fit_keyring(
     return as_bundle([results[index] for index in range(pairs)], source, camera)
 
 
+def fit_bundle(
+    settings: FitSettings,
+    source: Source,
+    camera: Camera,
+    *,
+    budget: float | None = None,
+    device: torch.device | str = "cpu",
+    work: Path | None = None,
+    callbacks: Sequence[Callback] = (),
+) -> tuple[FitResult | FreshResult, Bundle | None]:
+    """Fit one camera with its classifier, and make the bundle.
+
+    Args:
+        settings: settings of the fit.
+        source: the data set.
+        camera: the device.
+        budget: processor time that all of it may take [s], see :func:`.fit.run_fit`.
+        device: device that computes.
+        work: folder of checkpoints: a run that was broken off is taken up in it.
+        callbacks: called as the fit goes on.
+
+    Returns:
+        The result, and the bundle; None where no panel can show the encoder, or at points.
+
+    Raises:
+        TrainingError: settings or data that cannot be used.
+    """
+    hiding: list[Hiding | None] = []
+
+    def hold(bundle: Bundle, change: Transform) -> None:
+        for callback in callbacks:
+            callback.stage("measuring what the masks hide")
+        hiding[:] = [_measured(bundle, source, change).hiding]
+
+    def hold_pair(model: LenslessClassifier) -> None:
+        if on_panel(settings):
+            hold(_of_pairs(model, [as_pair(model)], source, camera), model.change)
+
+    def hold_fresh(model: FreshClassifier) -> None:
+        hold(_of_fresh(model, model.encoder, source, camera), model.change)
+
+    bundle: Bundle | None = None
+    if settings.fresh is not None:
+        check_fresh(settings, source, camera)
+        fresh = run_fresh(
+            *(settings, source, camera),
+            budget=budget,
+            device=device,
+            work=work,
+            callbacks=callbacks,
+            held=hold_fresh,
+        )
+        return fresh, as_fresh_bundle(fresh, source, camera, *hiding)
+    if on_panel(settings):
+        check_pairs(settings, source, camera)
+    result = run_fit(
+        *(settings, source, camera),
+        budget=budget,
+        device=device,
+        checkpoint=None if work is None else work / "fit.checkpoint",
+        callbacks=callbacks,
+        held=hold_pair,
+    )
+    if on_panel(settings):
+        bundle = as_bundle([result], source, camera, *hiding)
+    return result, bundle
+
+
+def on_panel(settings: FitSettings) -> bool:
+    """Return whether a device can show the camera that ``settings`` describe."""
+    return settings.encoder in WITH_PANEL and settings.binning == "area"
+
+
 def check_pairs(settings: FitSettings, source: Source, camera: Camera) -> None:
     """Refuse before the fit what no bundle can hold: one is written without a fit, and read.
 
@@ -99,9 +180,7 @@ def check_pairs(settings: FitSettings, source: Source, camera: Camera) -> None:
     _check_binning(settings)
     model = make_model(settings, source, camera)
     record = provenance(settings.model_dump(mode="json", exclude={"seed"}), {})
-    _write_and_read(
-        _of_pairs(model, [as_pair(model)], source, camera, record=record, accuracy=_NO_ACCURACY)
-    )
+    _write_and_read(_of_pairs(model, [as_pair(model)], source, camera, record=record))
 
 
 def check_fresh(settings: FitSettings, source: Source, camera: Camera) -> None:
@@ -109,9 +188,7 @@ def check_fresh(settings: FitSettings, source: Source, camera: Camera) -> None:
     statistics = no_statistics(settings, camera, source.scene, colour=source.colour)
     model = make_fresh_model(settings, source, camera, statistics)
     record = provenance(settings.model_dump(mode="json"), {})
-    _write_and_read(
-        _of_fresh(model, model.encoder, source, camera, record=record, accuracy=_NO_ACCURACY)
-    )
+    _write_and_read(_of_fresh(model, model.encoder, source, camera, record=record))
 
 
 def _write_and_read(bundle: Bundle) -> None:
@@ -187,8 +264,16 @@ def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pa
     return Pair(encoder.levels(), model.layers, weights_of(model.reader()), error)
 
 
-def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> Bundle:
+def as_bundle(
+    results: Sequence[FitResult], source: Source, camera: Camera, hiding: Hiding | None = None
+) -> Bundle:
     """Bundle of fitted pairs that differ in their seeds alone; the accuracy is their mean.
+
+    Args:
+        results: results of the fits.
+        source: data set of the fits.
+        camera: camera of the fits.
+        hiding: record of what the masks hide, if they were measured before.
 
     Raises:
         TrainingError: pairs that no device can use.
@@ -209,7 +294,7 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
     accuracy = replace(first, value=mean(result.accuracy.value for result in results))
     model = results[0].fit.model
     bundle = _of_pairs(model, pairs, source, camera, record=record, accuracy=accuracy)
-    return _measured(bundle, source, model.change)
+    return _measured(bundle, source, model.change, hiding)
 
 
 def _of_pairs(
@@ -218,8 +303,8 @@ def _of_pairs(
     source: Source,
     camera: Camera,
     *,
-    record: dict[str, JsonValue],
-    accuracy: Accuracy,
+    record: dict[str, JsonValue] | None = None,
+    accuracy: Accuracy = _NO_ACCURACY,
 ) -> Bundle:
     setup = model.encoder.setup
     return Bundle(
@@ -231,19 +316,22 @@ def _of_pairs(
         channels=3 if setup.colour else 1,
         mode="pairs",
         pairs=tuple(pairs),
-        provenance=record,
+        provenance=record or {},
         accuracy=accuracy,
         light=light_plan(setup),
     )
 
 
-def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bundle:
+def as_fresh_bundle(
+    result: FreshResult, source: Source, camera: Camera, hiding: Hiding | None = None
+) -> Bundle:
     """Bundle of mode ``fresh``: no mask is in it, and one classifier for all.
 
     Args:
         result: result of the fit.
         source: data set of the fit.
         camera: camera of the fit.
+        hiding: record of what the masks hide, if they were measured before.
     """
     best = result.fit.best
     record = provenance(result.settings.model_dump(mode="json"), source.digests())
@@ -257,17 +345,22 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
     bundle = _of_fresh(
         model, result.camera, source, camera, record=record, accuracy=result.accuracy
     )
-    return _measured(bundle, source, model.change)
+    return _measured(bundle, source, model.change, hiding)
 
 
-def _measured(bundle: Bundle, source: Source, change: Transform) -> Bundle:
+def _measured(
+    bundle: Bundle, source: Source, change: Transform, hiding: Hiding | None = None
+) -> Bundle:
     """Return the bundle with a record of what its masks hide.
 
     Args:
         bundle: bundle of a fit.
         source: data set of the fit.
         change: way in which its images are shown.
+        hiding: record, if the masks were measured before.
     """
+    if hiding is not None:
+        return replace(bundle, hiding=hiding)
     generator = torch.Generator().manual_seed(0)
 
     def shown(images: Images) -> Images:
@@ -285,8 +378,8 @@ def _of_fresh(
     source: Source,
     camera: Camera,
     *,
-    record: dict[str, JsonValue],
-    accuracy: Accuracy,
+    record: dict[str, JsonValue] | None = None,
+    accuracy: Accuracy = _NO_ACCURACY,
 ) -> Bundle:
     frame = encoder.frame
     return Bundle(
@@ -304,7 +397,7 @@ def _of_fresh(
             layers=model.layers,
             weights=weights_of(model.reader()),
         ),
-        provenance=record,
+        provenance=record or {},
         accuracy=accuracy,
         light=light_plan(encoder.setup),
     )

@@ -106,6 +106,6 @@ def _snr_db(bundle: Bundle) -> float:
     if bundle.fresh is not None:
         return bundle.fresh.noise.snr_db
     found: JsonValue = dict(bundle.provenance)
-    for name in ("settings", "recipe", "snr_db"):
+    for name in ("settings", "snr_db"):
         found = found.get(name) if isinstance(found, Mapping) else None
     return float(found) if isinstance(found, int | float) else SNR_DB
