@@ -7,7 +7,6 @@ from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError
@@ -17,42 +16,40 @@ from veilcam_training.cli.attack import app as attack_app
 from veilcam_training.cli.bundle import app as bundle_app
 from veilcam_training.cli.bundle import light_line, show_hiding
 from veilcam_training.cli.export import export_command
-from veilcam_training.cli.fresh import fit_fresh_command, frame_command
+from veilcam_training.cli.fit import fit_command
+from veilcam_training.cli.fresh import frame_command
 from veilcam_training.cli.options import (
+    AllowVisible,
     Batch,
+    Classifier,
     Config,
-    Csv,
+    Dataset,
     Device,
+    EncoderName,
     Epochs,
     Folder,
-    Logs,
+    RecipeName,
     Seed,
+    Shape,
     SkipDamaged,
     Threads,
     Work,
-    check_places,
     given,
     opened,
     prepare,
     show_summary,
-    watch,
 )
 from veilcam_training.cli.predict import predict_command
-from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import load_settings
-from veilcam_training.data import SOURCES, recognise
-from veilcam_training.data.base import ReadOnce
+from veilcam_training.config.files import load_settings
+from veilcam_training.data import recognise
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
-from veilcam_training.encoders import ENCODERS, read_psf
-from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
-from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
-from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
-from veilcam_training.files import check_folder
+from veilcam_training.experiments.fit import settle_seed
+from veilcam_training.experiments.keyring import fit_keyring
+from veilcam_training.files import check_file, check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
     help="Train lensless cameras: mask and classifier together.",
@@ -62,63 +59,6 @@ app = typer.Typer(
 console = Console()
 
 
-Dataset = Annotated[
-    str | None,
-    typer.Option(
-        "--dataset",
-        help=f"One of {', '.join(SOURCES)}; own pictures are found by themselves, else mnist.",
-    ),
-]
-Classifier = Annotated[
-    str | None,
-    typer.Option("--classifier", help="LR, FC<width>, VGG11, CNN<width> or Scene<width>."),
-]
-EncoderName = Annotated[
-    str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")
-]
-Psf = Annotated[
-    Path | None,
-    typer.Option(
-        "--psf",
-        help="Measured PSF (.npz, .npy or a picture) of fixed_measured, or for that of a lens, "
-        "coded_aperture or diffuser.",
-    ),
-]
-PsfPitch = Annotated[
-    float | None,
-    typer.Option("--psf-pitch", help="Side of a cell of an .npy file or a picture, in metres."),
-]
-PsfDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--psf-distance", help="Its distance to the sensor, in metres; the encoder's by default."
-    ),
-]
-Shape = Annotated[
-    str | None,
-    typer.Option("--embedding", help="ROWSxCOLUMNS[@FILL]; 24x32 unless told otherwise."),
-]
-Binning = Annotated[
-    str | None,
-    typer.Option("--binning", help="area: mean of a pixel; point: its centre (the paper's)."),
-]
-ChangeName = Annotated[
-    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
-]
-RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
-AllowVisible = Annotated[
-    bool,
-    typer.Option(
-        "--allow-visible",
-        help="Let a mask show pictures of the scene, which no daemon takes unless told to.",
-    ),
-]
-EndToEnd = Annotated[
-    bool | None,
-    typer.Option(
-        "--end-to-end", help="Learn mask and Scene classifier together in a second stage."
-    ),
-]
 WorkerCount = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Processes, each of one thread; 1 by default."),
@@ -128,85 +68,7 @@ RayAddress = Annotated[
 ]
 
 
-@app.command("fit")
-def fit_command(
-    *,
-    data: Folder,
-    config: Config = None,
-    dataset: Dataset = None,
-    classifier: Classifier = None,
-    encoder: EncoderName = None,
-    psf: Psf = None,
-    psf_pitch: PsfPitch = None,
-    psf_distance: PsfDistance = None,
-    embedding: Shape = None,
-    binning: Binning = None,
-    change: ChangeName = None,
-    recipe: RecipeName = None,
-    epochs: Epochs = None,
-    batch: Batch = None,
-    allow_visible: AllowVisible = False,
-    end_to_end: EndToEnd = None,
-    seed: Seed = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Bundle to write, *.veilcam.")] = None,
-    work: Work = None,
-    tensorboard: Logs = None,
-    csv: Csv = None,
-    skip_damaged: SkipDamaged = False,
-    device: Device = "auto",
-    threads: Threads = None,
-) -> None:
-    """Fit one camera and classifier; print its accuracy on the test set; write a bundle."""
-    chosen = given(
-        data=dataset,
-        classifier=classifier,
-        encoder=encoder,
-        psf=psf,
-        psf_pitch=psf_pitch,
-        psf_distance=psf_distance,
-        embedding=embedding,
-        binning=binning,
-        change=change,
-        seed=seed,
-        recipe=given(
-            base=recipe,
-            epochs=epochs,
-            batch=batch,
-            hidden=False if allow_visible else None,
-            end_to_end=end_to_end,
-        ),
-    )
-    load = partial(load_settings, config, chosen, found=recognise(data))
-    settings, source = opened(load, data, skip_damaged=skip_damaged)
-    place = prepare(device, threads)
-    check_places(out, work, tensorboard, csv)
-    if out is None and work is None:
-        console.print("note: without --out or --work nothing of this fit will be kept")
-    source, camera = ReadOnce(source), Camera()
-    if out is not None:
-        check_pairs(settings, source, camera)
-    settings = settle_seed(settings, work)
-    show_summary(console, source)
-    psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
-    if psf_used and (said := read_psf(psf_used, camera.distance).warning):
-        console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
-    name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-    epochs_wanted = settings.recipe.epochs
-    with watch(console, name, epochs_wanted, logs=tensorboard, table=csv) as callbacks:
-        result = run_fit(
-            settings,
-            source,
-            camera,
-            device=place,
-            checkpoint=None if work is None else work / "fit.checkpoint",
-            callbacks=callbacks,
-        )
-    _show(result)
-    if out is not None:
-        bundle = as_bundle([result], source, camera)
-        write_bundle(out, bundle)
-        show_hiding(console, bundle)
-        console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+app.command("fit")(fit_command)
 
 
 @app.command("keyring")
@@ -239,14 +101,17 @@ def keyring_command(
         encoder=encoder,
         embedding=embedding,
         seed=seed,
-        recipe=given(
-            base=recipe, epochs=epochs, batch=batch, hidden=False if allow_visible else None
-        ),
+        recipe=recipe,
+        epochs=epochs,
+        batch=batch,
+        hidden=False if allow_visible else None,
     )
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data.resolve(), skip_damaged=skip_damaged)
     place = prepare(device, threads)
-    check_places(out, work)
+    check_file("--out", out, ".veilcam")
+    if work is not None:
+        check_folder("--work", work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
@@ -261,9 +126,7 @@ def keyring_command(
             work=None if work is None else work.resolve(),  # a worker may stand elsewhere
             workers=workers,
             observe=lambda index: (
-                [FitProgress(progress, f"pair {index + 1} of {pairs}", settings.recipe.epochs)]
-                if here
-                else []
+                [FitProgress(progress, f"pair {index + 1} of {pairs}")] if here else []
             ),
             fitted=lambda *_: progress.advance(done),
         )
@@ -278,7 +141,6 @@ def keyring_command(
     console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
-app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
 app.command("adapt")(adapt_command)
 app.command("export")(export_command)
@@ -321,19 +183,3 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     Console(stderr=True).print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
     sys.exit(1)
-
-
-def _show(result: FitResult) -> None:
-    settings, best = result.settings, result.fit.best
-    table = Table("encoder", "embedding", "classifier", "best epoch", "validation", "test")
-    table.add_row(
-        settings.encoder,
-        settings.embedding,
-        settings.classifier,
-        f"{best.number + 1} of {settings.recipe.epochs}",
-        f"{100 * best.validation_accuracy:.2f} %",
-        f"{100 * result.accuracy.value:.2f} %",
-    )
-    console.print(table)
-    if result.light is not None:
-        console.print(light_line(result.light, result.transfer_error))

@@ -1,27 +1,21 @@
 """Options that several commands have, and what they do before and around a fit."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import torch
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from veilcam_training.config.settings import FreshSettings, Settings
-from veilcam_training.data import Source, open_source
+from veilcam_training.config.recipes import RECIPES
+from veilcam_training.config.settings import FitSettings
+from veilcam_training.data import SOURCES, Source, open_source
 from veilcam_training.data.summary import summarise
+from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import require
-from veilcam_training.files import check_file, check_folder
-from veilcam_training.trainer.callbacks import (
-    Callback,
-    CsvLog,
-    FitProgress,
-    TensorBoardLog,
-    make_progress,
-)
+from veilcam_training.transforms.scene import TRANSFORMS
 
 Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
 Config = Annotated[
@@ -41,7 +35,6 @@ Work = Annotated[
     Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
 ]
 Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
-Csv = Annotated[Path | None, typer.Option("--csv", help="File of accuracies and losses, *.csv.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
 Threads = Annotated[
     int | None,
@@ -51,24 +44,68 @@ SkipDamaged = Annotated[
     bool, typer.Option("--skip-damaged", help="Go on without own pictures that cannot be read.")
 ]
 
+Dataset = Annotated[
+    str | None,
+    typer.Option(
+        "--dataset",
+        help=f"One of {', '.join(SOURCES)}; own pictures are found by themselves, else mnist.",
+    ),
+]
+Classifier = Annotated[
+    str | None,
+    typer.Option("--classifier", help="LR, FC<width>, VGG11, CNN<width> or Scene<width>."),
+]
+EncoderName = Annotated[
+    str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")
+]
+Psf = Annotated[
+    Path | None,
+    typer.Option(
+        "--psf",
+        help="Measured PSF (.npz, .npy or a picture) of fixed_measured, or for that of a lens, "
+        "coded_aperture or diffuser.",
+    ),
+]
+PsfPitch = Annotated[
+    float | None,
+    typer.Option("--psf-pitch", help="Side of a cell of an .npy file or a picture, in metres."),
+]
+PsfDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--psf-distance", help="Its distance to the sensor, in metres; the encoder's by default."
+    ),
+]
+Shape = Annotated[
+    str | None,
+    typer.Option("--embedding", help="ROWSxCOLUMNS[@FILL]; 24x32 unless told otherwise."),
+]
+Binning = Annotated[
+    str | None,
+    typer.Option("--binning", help="area: mean of a pixel; point: its centre (the paper's)."),
+]
+ChangeName = Annotated[
+    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
+]
+RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
+AllowVisible = Annotated[
+    bool,
+    typer.Option(
+        "--allow-visible",
+        help="Let a mask show pictures of the scene, which no daemon takes unless told to.",
+    ),
+]
+EndToEnd = Annotated[
+    bool | None,
+    typer.Option(
+        "--end-to-end", help="Learn mask and Scene classifier together in a second stage."
+    ),
+]
+
 
 def given(**options: object) -> dict[str, object]:
     """Those options that were given."""
     return {name: value for name, value in options.items() if value is not None}
-
-
-def check_places(
-    out: Path | None, work: Path | None, logs: Path | None = None, table: Path | None = None
-) -> None:
-    """Refuse places that cannot be written to, before the work."""
-    if out is not None:
-        check_file("--out", out, ".veilcam")
-    if work is not None:
-        check_folder("--work", work)
-    if logs is not None:
-        check_folder("--tensorboard", logs)
-    if table is not None:
-        check_file("--csv", table, ".csv")
 
 
 def prepare(device: str, threads: int | None) -> torch.device:
@@ -94,12 +131,9 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
-
-
 def opened(
-    load: Callable[..., SettingsT], folder: Path, *, skip_damaged: bool
-) -> tuple[SettingsT, Source]:
+    load: Callable[..., FitSettings], folder: Path, *, skip_damaged: bool
+) -> tuple[FitSettings, Source]:
     """Return the settings of a fit and its data set.
 
     Args:
@@ -123,22 +157,3 @@ def show_summary(console: Console, source: Source) -> None:
     console.print(table)
     for warning in summary.warnings:
         console.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
-
-
-@contextmanager
-def watch(
-    console: Console,
-    name: str,
-    epochs: int,
-    *,
-    logs: Path | None,
-    table: Path | None,
-) -> Iterator[Sequence[Callback]]:
-    """Yield the callbacks of a fit, which show it while it lasts."""
-    with make_progress(console) as progress:
-        callbacks: list[Callback] = [FitProgress(progress, name, epochs)]
-        if logs is not None:
-            callbacks.append(TensorBoardLog(logs))
-        if table is not None:
-            callbacks.append(CsvLog(table))
-        yield callbacks
