@@ -94,7 +94,7 @@ class CellRunner:
         )
         model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)
-        counts = confusion(source.test().labels, fitted.predictions, len(source.labels))
+        counts = confusion(source.test().labels, fitted.logits.argmax(1), len(source.labels))
         result = CellResult(
             settings=settings,
             fingerprint=settings.fingerprint(source),

@@ -9,13 +9,13 @@ from torch import nn
 from torch.utils.benchmark import Timer
 
 from veilcam_training.models.whitening import plain
-from veilcam_training.trainer.callbacks import Epoch
+from veilcam_training.trainer.callbacks import Callback, Epoch
 
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
 
 
-class Stopwatch:
+class Stopwatch(Callback):
     """Starts when it is made, and watches the epochs of a fit.
 
     On a CPU it takes the processor's time, so that neighbours do not count; a GPU works beside the

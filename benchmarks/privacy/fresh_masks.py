@@ -87,7 +87,7 @@ def accuracy(
             camera,
             masks=masks,
             work=work,
-            callbacks=[FitProgress(progress, task, settings.epochs), Log()],
+            callbacks=[FitProgress(progress, task), Log()],
         )
     percent = 100 * result.accuracy.value
     print(

@@ -36,7 +36,7 @@ from veilcam_training.errors import require
 from veilcam_training.experiments.fit import run_fit, run_fresh
 from veilcam_training.models.classifiers import SceneTask, Task, make_layers
 from veilcam_training.models.network import build_untrained, weights_of
-from veilcam_training.trainer.callbacks import Epoch
+from veilcam_training.trainer.callbacks import Callback, Epoch
 
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 """Quantiles 0.975 of Student's t, of 1 to 9 degrees of freedom."""
@@ -82,11 +82,8 @@ CELLS: Mapping[str, Cell] = {
 """By the names of their figures."""
 
 
-class Log:
+class Log(Callback):
     """Prints every epoch, for runs whose output goes to a file."""
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        """Say nothing."""
 
     def epoch(self, epoch: Epoch) -> None:
         """One line."""

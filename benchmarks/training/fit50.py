@@ -47,7 +47,7 @@ def main(
     source = open_source(settings.data, data)
     before = os.getloadavg()[0]
     with make_progress(Console()) as progress:
-        bar = FitProgress(progress, "FC800 learned 24x32", EPOCHS)
+        bar = FitProgress(progress, "FC800 learned 24x32")
         result = fit(
             make_model(settings, source, Camera()),
             split(source.training()),

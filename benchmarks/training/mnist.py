@@ -34,7 +34,7 @@ def main(
     torch.set_num_threads(threads)
     settings = find_recipe("default", FitSettings(classifier="LR", seed=seed))
     with make_progress(Console()) as progress:
-        bar = FitProgress(progress, "LR learned 24x32", settings.epochs)
+        bar = FitProgress(progress, "LR learned 24x32")
         outcome = run_fit(settings, open_source("mnist", data), Camera(), callbacks=[bar])
     seconds = sum(epoch.seconds for epoch in outcome.fit.history)
     percent = 100 * outcome.accuracy.value

@@ -74,7 +74,7 @@ def draw_panels(count: int, seed: int) -> list[Imperfections]:
 def fitted(parts: Split, settings: FitSettings, data: Path, name: str) -> LenslessClassifier:
     """The model of ``settings``, fitted."""
     with make_progress(Console()) as progress:
-        bar = FitProgress(progress, name, settings.epochs)
+        bar = FitProgress(progress, name)
         model = make_model(settings, open_source(settings.data, data), Camera())
         return fit(model, parts, settings, callbacks=[bar]).model
 

@@ -27,7 +27,7 @@ from typer.testing import CliRunner, Result
 
 from veilcam_optics.simulation.check import Check
 from veilcam_training.bundle import read_bundle
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 
 Run = Callable[..., Result]
 
@@ -95,7 +95,7 @@ def test_quick_table_is_run_once_and_reported(
 
 
 def finish(work: Path, test: float, **settings: object) -> CellResult:
-    chosen = Settings.model_validate(settings)
+    chosen = FitSettings.model_validate(settings)
     rows, columns = map(int, chosen.embedding.split("x"))
     epoch = EpochRecord(
         loss=1.0, training_accuracy=0.5, validation_accuracy=test - 0.01, validation_loss=1.0

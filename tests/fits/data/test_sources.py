@@ -13,8 +13,7 @@ from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import read_bundle, write_bundle
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import SOURCES, open_source, split
 from veilcam_training.data.base import stratified
 from veilcam_training.data.celeba import CelebaSource
@@ -225,8 +224,7 @@ def test_files_to_bundle(
     name: str, files: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     source = open_source(name, request.getfixturevalue(files)(tmp_path))
-    recipe = Recipe(epochs=1, batch=8)
-    settings = Settings(data=name, embedding="3x4", classifier="FC8", recipe=recipe)
+    settings = FitSettings(data=name, embedding="3x4", classifier="FC8", epochs=1, batch=8)
     outcome = run_fit(settings, source, Camera())
     assert 0 <= outcome.accuracy.value <= 1
     path = tmp_path / "a.veilcam"

@@ -20,8 +20,8 @@ from veilcam_optics.decoding import (
 )
 from veilcam_optics.decoding.decoder import prepare_decoder
 from veilcam_training.bundle import Network, classifier_inputs, read_bundle, write_bundle
-from veilcam_training.config.recipes import SCENES, Recipe
-from veilcam_training.config.settings import FreshSettings, Settings
+from veilcam_training.config.recipes import SCENES
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_encoder
 from veilcam_training.encoders.copies import Copies
@@ -172,12 +172,12 @@ def test_estimate_with_bad_settings_is_refused() -> None:
 
 # --- at the head of a classifier
 
-RECIPE = SCENES.model_copy(update={"epochs": 2, "batch": 30, "rate": 0.2, "rank": 40})
+SMALL = {**SCENES, "epochs": 2, "batch": 30, "rate": 0.2, "rank": 40}
 
 
-def settings(**changes: Any) -> Settings:
-    chosen = Settings(embedding="6x8", classifier="Scene4", recipe=RECIPE)
-    return chosen.model_copy(update=changes)
+def settings(**changes: Any) -> FitSettings:
+    chosen = FitSettings(embedding="6x8", classifier="Scene4")
+    return chosen.model_copy(update={**SMALL, **changes})
 
 
 @pytest.fixture(params=[False, True], ids=["gray", "colour"])
@@ -216,9 +216,7 @@ def test_bundle_reads_without_it(data: Source, tmp_path: Path, encoder: str) -> 
 
 @pytest.mark.slow
 def test_bundle_of_fresh_masks_reads_in_numpy(data: Source) -> None:
-    chosen = FreshSettings(
-        embedding="6x8", classifier="Scene4", masks=5, misalignment=None, recipe=RECIPE
-    )
+    chosen = settings(fresh=FreshMasks(masks=5, misalignment=None))
     result = run_fresh(chosen, data, CAMERA, masks=5)
     bundle = as_fresh_bundle(result, data, CAMERA)
     fresh, camera = bundle.fresh, result.camera
@@ -242,13 +240,13 @@ def test_bundle_of_fresh_masks_reads_in_numpy(data: Source) -> None:
 def test_second_stage_changes_the_mask(source: Source) -> None:
     masks = []
     for end_to_end in (False, True):
-        chosen = settings(recipe=RECIPE.model_copy(update={"end_to_end": end_to_end}))
+        chosen = settings(end_to_end=end_to_end)
         encoder = run_fit(chosen, source, CAMERA).fit.model.encoder
         assert isinstance(encoder, LearnedMask)
         masks.append(encoder.levels())
     assert (masks[0] != masks[1]).any()
     with pytest.raises(TrainingError, match="only a Scene classifier has a second stage"):
-        make_model(settings(classifier="LR", recipe=chosen.recipe), source, CAMERA)
+        make_model(settings(classifier="LR", end_to_end=True), source, CAMERA)
 
 
 def test_scenes_are_learned_from_the_training_part_alone(source: Source) -> None:
@@ -266,8 +264,8 @@ def test_scenes_are_learned_from_the_training_part_alone(source: Source) -> None
     ("changes", "reason"),
     [
         ({"change": "rescale"}, "without change"),
-        ({"recipe": Recipe(normalisation="white")}, "not with 'Scene4'"),
-        ({"recipe": Recipe(pooling=3)}, "pooling = 3 does not divide"),
+        ({"normalisation": "white"}, "not with 'Scene4'"),
+        ({"pooling": 3}, "pooling = 3 does not divide"),
     ],
 )
 def test_estimate_cannot_be_combined_with_other_options(

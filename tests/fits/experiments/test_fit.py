@@ -20,8 +20,7 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
 from veilcam_training.encoders import LearnedMask, Mask, Setup
@@ -32,12 +31,12 @@ from veilcam_training.experiments.model import make_model
 from veilcam_training.seeding import stream
 from veilcam_training.trainer.callbacks import Epoch
 
-SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
+SMALL = FitSettings(embedding="3x4", epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 Writer = Callable[..., Path]
 
 
-def settings(**changes: Any) -> Settings:
-    return Settings(embedding="3x4", recipe=SMALL).model_copy(update=changes)
+def settings(**changes: Any) -> FitSettings:
+    return SMALL.model_copy(update=changes)
 
 
 class Unfitted:
@@ -50,7 +49,7 @@ class Unfitted:
         raise AssertionError
 
 
-def refused(chosen: Settings, source: Source) -> str:
+def refused(chosen: FitSettings, source: Source) -> str:
     """What a job says that is refused before its fit begins."""
     with pytest.raises(TrainingError) as caught:
         run_fit(chosen, source, Camera(), callbacks=[Unfitted()])
@@ -178,8 +177,7 @@ def test_without_a_panel_or_of_points_there_is_no_mask_to_check(
     assert transfer_error(LearnedMask(SMALL_SETUP, stream(0, "encoder"))) is None
     setup = replace(SMALL_SETUP, point_binning=True)
     assert transfer_error(LearnedMask(setup, stream(0, "encoder"))) is None
-    one = SMALL.model_copy(update={"epochs": 1})
-    fitted = run_fit(settings(encoder="lens", recipe=one), source, Camera())
+    fitted = run_fit(settings(encoder="lens", epochs=1), source, Camera())
     assert (fitted.light, fitted.transfer_error, light_plan(setup)) == (None, None, None)
 
 
@@ -194,14 +192,14 @@ def test_without_a_panel_or_of_points_there_is_no_mask_to_check(
 def test_learned_is_rectified(
     source: Source, encoder: str, normalisation: str, *, rectified: bool
 ) -> None:
-    recipe = SMALL.model_copy(update={"normalisation": normalisation})
-    model = make_model(settings(encoder=encoder, recipe=recipe), source, Camera())
+    chosen = settings(encoder=encoder, normalisation=normalisation)
+    model = make_model(chosen, source, Camera())
     kinds = [type(layer) for layer in model.layers]
     assert (kinds[kinds.index(BatchNorm) + 1] is ReLU) == rectified
     assert kinds.count(ReLU) == int(rectified)
     assert kinds.count(LayerNorm) == 0
-    automatic = recipe.model_copy(update={"exposure": "automatic"})
-    model = make_model(settings(encoder=encoder, recipe=automatic), source, Camera())
+    automatic = chosen.model_copy(update={"exposure": "automatic"})
+    model = make_model(automatic, source, Camera())
     assert [type(layer) for layer in model.layers].count(LayerNorm) == 1
 
 
@@ -221,8 +219,8 @@ FILES = Files("mnist", DIGITS, Path())
 
 def test_fingerprint_tells_settings_and_torch_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     changes: list[dict[str, object]] = [{}, {"seed": 1}, {"embedding": "3x4"}]
-    changes += [{"recipe": Recipe(epochs=3)}, {"recipe": Recipe(rank=10)}]
-    chosen = [Settings().model_copy(update=change) for change in changes]
+    changes += [{"epochs": 3}, {"rank": 10}, {"fresh": FreshMasks()}]
+    chosen = [FitSettings().model_copy(update=change) for change in changes]
     monkeypatch.setattr(torch, "__version__", "2.13.0")
     found = {each.fingerprint(FILES) for each in chosen}
     assert len(found) == len(changes)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ from veilcam_optics.keys.masks import MaskDistribution, draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import classifier_inputs, read_bundle, write_bundle
-from veilcam_training.config.recipes import scenes
-from veilcam_training.config.settings import FreshSettings
+from veilcam_training.config.recipes import SCENES
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Source, open_source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
@@ -30,18 +29,15 @@ from veilcam_training.trainer.step import evaluate
 CAMERA = Camera(window=Window(rows=18, columns=9))
 
 
-def settings(epochs: int = 3, batch: int = 64, **changes: Any) -> FreshSettings:
-    recipe = scenes("mnist", colour=False)
+def settings(
+    epochs: int = 3, batch: int = 64, spread: float | None = None, seed: int = 0
+) -> FitSettings:
     small = {"rank": 40, "epochs": epochs, "batch": batch, "rate": 0.2, "averaging": 0.9}
-    return FreshSettings(
-        embedding="6x8",
-        misalignment=Misalignment(panels=2),
-        classifier="Scene4",
-        masks=20,
-        validation_masks=10,
-        recipe=recipe.model_copy(update=small),
-        **changes,
+    masks = FreshMasks(
+        misalignment=Misalignment(panels=2), masks=20, validation_masks=10, spread=spread
     )
+    chosen = FitSettings(embedding="6x8", classifier="Scene4", fresh=masks, seed=seed)
+    return chosen.model_copy(update={**SCENES, **small})
 
 
 @pytest.fixture(scope="module")

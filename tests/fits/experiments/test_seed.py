@@ -14,7 +14,8 @@ import pytest
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.cli import options
-from veilcam_training.config.settings import Settings, load_settings
+from veilcam_training.config.files import load_settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import settle_seed
 from veilcam_training.trainer.callbacks import FitProgress
@@ -104,7 +105,11 @@ def test_run_without_a_seed_is_taken_up_with_its_own(
 def test_seed_that_was_given_is_kept(tmp_path: Path) -> None:
     config, work = tmp_path / "a.toml", tmp_path / "work"
     config.write_text("seed = 0")
-    for settings in (load_settings(config, {}), load_settings(None, {"seed": 0}), Settings(seed=0)):
+    for settings in (
+        load_settings(config, {}),
+        load_settings(None, {"seed": 0}),
+        FitSettings(seed=0),
+    ):
         assert settle_seed(settings, work) is settings
     assert not work.exists()
     drawn = [settle_seed(load_settings(None, {}), None) for _ in range(3)]
@@ -114,7 +119,7 @@ def test_seed_that_was_given_is_kept(tmp_path: Path) -> None:
 
 def test_damaged_seed_is_refused(tmp_path: Path) -> None:
     # Another folder has another seed, which is kept.
-    one, again, other = (settle_seed(Settings(), tmp_path / name).seed for name in "aab")
+    one, again, other = (settle_seed(FitSettings(), tmp_path / name).seed for name in "aab")
     assert one == again
     assert one != other
     path = tmp_path / "a" / "seed"
@@ -122,4 +127,4 @@ def test_damaged_seed_is_refused(tmp_path: Path) -> None:
     for damaged in (b"", whole[:-1], whole[:-1] + b"x", b"7"):
         path.write_bytes(damaged)
         with pytest.raises(TrainingError, match=r"seed cannot be read .* remove it to start again"):
-            settle_seed(Settings(), path.parent)
+            settle_seed(FitSettings(), path.parent)

@@ -20,8 +20,7 @@ from veilcam_training.bundle.layers import (
     Linear,
     ReLU,
 )
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
@@ -70,9 +69,8 @@ def test_new_classifier_is_a_function_and_a_line(
         return hidden, ReLU(), Linear(inputs=width, outputs=task.classes)
 
     monkeypatch.setitem(cast("dict[str, object]", OF_MEASUREMENTS), "NARROW<width>", narrow)
-    recipe = Recipe(epochs=1, batch=90)
-    chosen = {"classifier": "NARROW7", "encoder": "fixed_simulated", "recipe": recipe}
-    settings = Settings(embedding="6x8").model_copy(update=chosen)
+    chosen = {"classifier": "NARROW7", "encoder": "fixed_simulated"}
+    settings = FitSettings(embedding="6x8", epochs=1, batch=90).model_copy(update=chosen)
     result = run_fit(settings, source, Camera())
     [first, *_] = [layer for layer in result.fit.model.layers if isinstance(layer, Linear)]
     assert (first.inputs, first.outputs) == (48, 7)

@@ -15,8 +15,8 @@ from torch import nn
 
 from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_training.bundle.layers import Affine
-from veilcam_training.config.recipes import Recipe, scenes
-from veilcam_training.config.settings import FreshSettings, Settings
+from veilcam_training.config.recipes import SCENES
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Source, Split, open_source, split
 from veilcam_training.encoders import PanelErrors
 from veilcam_training.encoders.fresh import Misalignment
@@ -26,49 +26,37 @@ from veilcam_training.experiments.keyring import as_pair
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
 from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import derive, seeded
-from veilcam_training.trainer import checkpoint as checkpoints
-from veilcam_training.trainer.callbacks import Epoch, MovingAverage
-from veilcam_training.trainer.step import evaluate
-from veilcam_training.trainer.loop import Fit, fit
-from veilcam_training.trainer.step import make_optimiser
+from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
+from veilcam_training.trainer.loop import Fit, fit, load_checkpoint
+from veilcam_training.trainer.step import evaluate, make_optimiser
 from veilcam_training.transforms.augmentation import Augmentation
 
 WINDOW = Camera(window=Window(rows=8, columns=4))
-SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
+SMALL = FitSettings(embedding="6x8", epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 
 
-def settings(**changes: Any) -> Settings:
-    """Small ones; what a recipe has of ``changes`` goes there."""
-    recipe = {name: changes.pop(name) for name in Recipe.model_fields if name in changes}
-    chosen = Settings(embedding="6x8", recipe=SMALL.model_copy(update=recipe))
-    return chosen.model_copy(update=changes)
+def settings(**changes: Any) -> FitSettings:
+    return SMALL.model_copy(update=changes)
 
 
-def fresh(**changes: Any) -> FreshSettings:
-    """The same for fresh masks."""
+def fresh(**changes: Any) -> FitSettings:
+    """The same for fresh masks; what these have of ``changes`` goes there."""
+    masks = {"misalignment": Misalignment(panels=2), "masks": 4, "validation_masks": 4}
+    masks |= {name: changes.pop(name) for name in FreshMasks.model_fields if name in changes}
     small = {"rank": 20, "epochs": 3, "batch": 64, "rate": 0.1, "averaging": 0.9}
-    small |= {name: changes.pop(name) for name in Recipe.model_fields if name in changes}
-    chosen: dict[str, Any] = {
-        "embedding": "3x4",
-        "misalignment": Misalignment(panels=2),
-        "classifier": "Scene2",
-        "masks": 4,
-        "validation_masks": 4,
-        "recipe": scenes("mnist", colour=False).model_copy(update=small),
-    }
-    return FreshSettings(**{**chosen, **changes})
+    chosen = FitSettings(embedding="3x4", classifier="Scene2", fresh=FreshMasks(**masks))
+    return chosen.model_copy(update={**SCENES, **small, **changes})
 
 
-def run(source: Source, chosen: Settings | FreshSettings, **options: Any) -> Fit:
+def run(source: Source, chosen: FitSettings, **options: Any) -> Fit:
     parts = split(source.training())
-    if isinstance(chosen, Settings):
+    if chosen.fresh is None:
         model = make_model(chosen, source, Camera())
-        return fit(model, parts, chosen.recipe, chosen.seed, **options)
+        return fit(model, parts, chosen, **options)
     statistics = fresh_statistics(chosen, WINDOW, source.scene, parts.training)
     model = make_fresh_model(chosen, source, WINDOW, statistics)
     model.encoder.learn_range()
-    masks = (chosen.masks, chosen.validation_masks)
-    return fit(model, parts, chosen.recipe, chosen.seed, masks=masks, **options)
+    return fit(model, parts, chosen, **options)
 
 
 def weights_of(result: Fit) -> torch.Tensor:
@@ -105,7 +93,7 @@ def test_fit_learns(source: Source, encoder: str) -> None:
     [(settings(), settings(seed=1)), (fresh(epochs=1), fresh(epochs=1, seed=1))],
 )
 def test_same_seed_gives_the_same_result(
-    few: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
+    few: Source, chosen: FitSettings, other: FitSettings
 ) -> None:
     first = run(few, chosen)
     torch.manual_seed(1)  # what ran before does not matter
@@ -178,7 +166,7 @@ def test_changes_of_the_scene(source: Source, unchanged: Fit, name: str) -> None
     assert outcome.fit.best.validation_loss > unchanged.best.validation_loss
     model, test = outcome.fit.model, source.test()
     first, again = (evaluate(model, test, 0, "test") for _ in range(2))
-    assert torch.equal(first.predictions, again.predictions)
+    assert torch.equal(first.logits, again.logits)
     assert first.loss != evaluate(model, test, 1, "test").loss
 
 
@@ -201,9 +189,9 @@ STILL = {"rate": 1e-12, "epochs": 30, "patience": 2}
         settings(**STILL, mask_rate=1e-12),
         fresh(**STILL, averaging=0.0),
     ],
-    ids=["recipe", "fresh"],
+    ids=["pair", "fresh"],
 )
-def test_early_stop(source: Source, chosen: Settings | FreshSettings) -> None:
+def test_early_stop(source: Source, chosen: FitSettings) -> None:
     result = run(source, chosen)
     assert len(result.history) < 30
     assert len(result.history) - 1 - result.best.number == 2
@@ -218,18 +206,18 @@ def test_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> 
 
 
 def test_schedules() -> None:
-    steps = Recipe(epochs=50, schedule="steps", steps_every=20)
+    steps = FitSettings(epochs=50, schedule="steps", steps_every=20)
     assert [steps.rate_factor(epoch / 50) for epoch in (0, 19, 20, 39, 40)] == pytest.approx(
         [1, 1, 0.1, 0.1, 0.01]
     )
-    cycle = Recipe(schedule="one_cycle", warm_up=0.25)
+    cycle = FitSettings(schedule="one_cycle", warm_up=0.25)
     factors = [cycle.rate_factor(i / 100) for i in range(100)]
     assert max(factors) == factors[25] == 1.0
     assert factors[:26] == sorted(factors[:26])
     assert factors[25:] == sorted(factors[25:], reverse=True)
     assert factors[0] < 0.1
     assert 0 < factors[-1] < 0.01
-    assert Recipe(schedule="constant").rate_factor(0.9) == 1.0
+    assert FitSettings(schedule="constant").rate_factor(0.9) == 1.0
 
 
 def test_weight_decay_spares_the_mask_and_the_vectors(source: Source) -> None:
@@ -249,7 +237,7 @@ class InterruptionError(Exception):
     pass
 
 
-class StopAfter:
+class StopAfter(Callback):
     """Breaks a fit off in the middle of an epoch."""
 
     def __init__(self, epoch: int, step: int) -> None:
@@ -264,6 +252,7 @@ class StopAfter:
 
     def epoch(self, epoch: Epoch) -> None:
         assert 0 <= epoch.validation_accuracy <= 1
+        assert epoch.processor_seconds > 0
 
 
 @pytest.mark.thorough
@@ -284,9 +273,7 @@ class StopAfter:
     ],
     ids=["plain", "white", "everything", "fresh ranges"],
 )
-def test_resumed_is_as_unbroken(
-    few: Source, tmp_path: Path, chosen: Settings | FreshSettings
-) -> None:
+def test_resumed_is_as_unbroken(few: Source, tmp_path: Path, chosen: FitSettings) -> None:
     path = tmp_path / "work" / "fit.checkpoint"
     with pytest.raises(InterruptionError):
         run(few, chosen, checkpoint=path, fingerprint="a", callbacks=[StopAfter(1, 2)])
@@ -311,17 +298,16 @@ import os, signal, sys
 from pathlib import Path
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import open_source
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.experiments.fit import run_fit
+from veilcam_training.trainer.callbacks import Callback
 
-class Kill:
+class Kill(Callback):
     def step(self, epoch, done, steps):
         if (epoch, done) == (1, 3):
             os.kill(os.getpid(), signal.SIGKILL)
-    def epoch(self, epoch):
-        pass
 
-settings = Settings.model_validate_json(sys.argv[1])
+settings = FitSettings.model_validate_json(sys.argv[1])
 source = open_source("mnist", Path(sys.argv[2]))
 run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kill()])
 """
@@ -333,7 +319,7 @@ def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: 
     arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]
     killed = subprocess.run([sys.executable, "-c", KILLED, *arguments], check=False)
     assert killed.returncode == -signal.SIGKILL
-    saved = checkpoints.load_checkpoint(path, chosen.fingerprint(source))
+    saved = load_checkpoint(path, chosen.fingerprint(source))
     assert saved is not None
     assert len(saved["history"]) == 1
     resumed = run_fit(chosen, source, Camera(), checkpoint=path)
@@ -351,8 +337,8 @@ def test_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) ->
 
 def test_epoch_that_validates_best_is_kept(source: Source) -> None:
     # At this rate the last epochs of a constant schedule are no better than earlier ones.
-    recipe = Recipe(epochs=6, batch=90, rate=1.0, mask_rate=0.5, schedule="constant")
-    result = run(source, settings(recipe=recipe))
+    chosen = settings(epochs=6, rate=1.0, mask_rate=0.5, schedule="constant")
+    result = run(source, chosen)
     accuracies = [epoch.validation_accuracy for epoch in result.history]
     assert result.best.validation_accuracy == max(accuracies)
     validation = split(source.training()).validation
@@ -383,12 +369,12 @@ def test_running_mean_of_weights(source: Source) -> None:
 
 
 def test_loss_that_is_no_number(source: Source) -> None:
-    recipe = Recipe(epochs=2, batch=90, optimiser="sgd", rate=10.0, mask_rate=1e-3)
-    model = make_model(settings(recipe=recipe), source, Camera())
+    chosen = settings(epochs=2, optimiser="sgd", rate=10.0, mask_rate=1e-3)
+    model = make_model(chosen, source, Camera())
     with torch.no_grad():
         next(model.classifier.parameters()).fill_(float("nan"))
     with pytest.raises(TrainingError, match="use lower learning rates"):
-        fit(model, split(source.training()), recipe, 0)
+        fit(model, split(source.training()), chosen)
     with pytest.raises(TrainingError, match="no images"):
         evaluate(model, source.test().take(torch.arange(0)), 0, "test")
 
@@ -399,7 +385,7 @@ def test_noise_is_fresh_in_every_epoch_and_step(source: Source) -> None:
     model.encoder.add_noise = (  # type: ignore[method-assign]
         lambda values, snr_db, generator: seen.append(torch.rand(2, generator=generator)) or values  # type: ignore[func-returns-value]
     )
-    fit(model, split(source.training()), SMALL, 0)
+    fit(model, split(source.training()), SMALL)
     steps = SMALL.epochs * (810 // SMALL.batch)
     assert len({tuple(draw.tolist()) for draw in seen}) == steps + 1  # validation always the same
     assert len(seen) == steps + SMALL.epochs
@@ -430,7 +416,7 @@ def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str)
             seen.append(measurements[0].detach())
 
     model.classifier.register_forward_pre_hook(look)
-    fit(model, Split(first, first), chosen.recipe, 0)
+    fit(model, Split(first, first), chosen)
     measurements = {tuple(measurement) for measurement in torch.cat(seen).tolist()}
     assert len(measurements) == 2 * len(first)
 
@@ -439,7 +425,7 @@ def test_bundle_holds_a_plain_classifier(source: Source) -> None:
     chosen = settings(classifier="FC20", epochs=2, normalisation="white")
     model = make_model(chosen, source, Camera())
     assert not any(isinstance(layer, nn.ReLU) for layer in list(model.classifier)[:2])
-    fit(model, split(source.training()), chosen.recipe, 0)
+    fit(model, split(source.training()), chosen)
     pair = as_pair(model)
     values = model.encoder(source.test().scenes(slice(0, 20)))
     found = build_classifier(pair.layers, pair.weights)(values)

@@ -11,8 +11,7 @@ from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_optics.decoding.release import ReleaseForm
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_training.attacks.keyless import KeylessCamera
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import FreshSettings
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera
@@ -23,7 +22,7 @@ CAMERA = Camera(window=Window(rows=18, columns=9))
 @pytest.fixture(scope="module")
 def camera(source: Source) -> FreshCamera:
     """A small camera with fresh masks."""
-    chosen = FreshSettings(embedding="6x8", misalignment=None, recipe=Recipe(rank=40))
+    chosen = FitSettings(embedding="6x8", rank=40, fresh=FreshMasks(misalignment=None))
     training = split(source.training()).training
     statistics = fresh_statistics(chosen, CAMERA, source.scene, training)
     return make_fresh_camera(chosen, CAMERA, source.scene, statistics)

@@ -15,8 +15,7 @@ from veilcam_optics.camera.geometry import Camera, Scene, Sensor, Window
 from veilcam_optics.decoding import unknown_share
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import FreshSettings
+from veilcam_training.config.settings import FitSettings, FreshMasks
 from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import FreshCamera, LearnedRange, Misalignment, pooled
 from veilcam_training.errors import TrainingError
@@ -28,8 +27,8 @@ CAMERA = Camera(window=Window(rows=18, columns=9))
 
 def make_camera(source: Source, **changes: Any) -> FreshCamera:
     """A small camera with fresh masks."""
-    recipe = Recipe(rank=40)
-    chosen = FreshSettings(embedding="6x8", recipe=recipe, **{"misalignment": None, **changes})
+    masks = FreshMasks(**{"misalignment": None, **changes})
+    chosen = FitSettings(embedding="6x8", rank=40, fresh=masks)
     training = split(source.training()).training
     statistics = fresh_statistics(chosen, CAMERA, source.scene, training)
     return make_fresh_camera(chosen, CAMERA, source.scene, statistics)
@@ -130,8 +129,8 @@ def test_pooling_keeps_the_scene_and_its_size() -> None:
 
 def test_anywhere_is_read_and_decoded_on_the_whole_field(source: Source) -> None:
     small = replace(CAMERA, sensor=Sensor(rows=1700, columns=1550))
-    recipe = Recipe(pooling=4, rank=30)
-    chosen = FreshSettings(embedding="6x8", placement="anywhere", misalignment=None, recipe=recipe)
+    masks = FreshMasks(placement="anywhere", misalignment=None)
+    chosen = FitSettings(embedding="6x8", pooling=4, rank=30, fresh=masks)
     statistics = fresh_statistics(chosen, small, source.scene, source.training())
     camera = make_fresh_camera(chosen, small, source.scene, statistics)
     assert camera.setup.scene.shape == (60, 56)

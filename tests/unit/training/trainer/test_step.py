@@ -8,19 +8,16 @@ import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Source
 from veilcam_training.experiments.model import make_model, prepare
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.step import Inputs
 from veilcam_training.transforms.augmentation import Augmentation
 
-RECIPE = Recipe(epochs=2, batch=30)
-
 
 def model_of(source: Source, **changes: Any) -> LenslessClassifier:
-    return make_model(Settings(embedding="3x4", recipe=RECIPE, **changes), source, Camera())
+    return make_model(FitSettings(embedding="3x4", **changes), source, Camera())
 
 
 @pytest.mark.parametrize(
@@ -39,7 +36,7 @@ def test_measurements_of_a_fixed_camera_are_computed_once(
     model = model_of(source, **changes)
     encoded: list[None] = []
     model.encoder.register_forward_hook(lambda *_: encoded.append(None))
-    inputs = Inputs(model, source.test(), Recipe(jitter=jitter))
+    inputs = Inputs(model, source.test(), FitSettings(jitter=jitter))
     before = len(encoded)
     assert before == int(not steps_encode)
     for step in range(3):
@@ -52,11 +49,11 @@ def test_scenes_are_measured_and_estimated_once(source: Source, jitter: Augmenta
     """With mirror images in a view of their own, which every other epoch shows."""
     chosen: dict[str, Any] = {"encoder": "fixed_simulated", "classifier": "Scene2"}
     model, images = model_of(source, **chosen), source.test()
-    settings = Settings(embedding="3x4", recipe=RECIPE, **chosen)
+    settings = FitSettings(embedding="3x4", **chosen)
     prepare(model, settings, images)
     seen: list[None] = []
     model.encoder.register_forward_hook(lambda *_: seen.append(None))
-    inputs = Inputs(model, images, Recipe(jitter=jitter), 1)
+    inputs = Inputs(model, images, FitSettings(jitter=jitter, seed=1))
     measured = len(seen)
     assert measured == (2 if jitter.mirror else 1)
     views: list[torch.Tensor] = []
