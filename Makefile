@@ -92,8 +92,8 @@ DEMO := server/veilcam_server/demo_data
 bundles: $(INSTALLED)
 	$(BIN)/veilcam-train keyring --data $(DATA) --pairs 6 --config $(DEMO)/keyring.toml \
 		--threads 1 --out $(DEMO)/keyring.veilcam
-	$(BIN)/veilcam-train fit-fresh --data $(DATA) --config $(DEMO)/fresh.toml \
-		--threads 1 --out $(DEMO)/fresh.veilcam
+	$(BIN)/veilcam-train fit --data $(DATA) --config $(DEMO)/fresh.toml --threads 1 --out build/fresh
+	cp build/fresh/model.veilcam $(DEMO)/fresh.veilcam
 
 check: lint types layers fast
 

@@ -55,11 +55,11 @@ def main(
 ) -> None:
     """Draw, fit, serve; then ask the daemon about every test picture."""
     with TemporaryDirectory() as name:
-        folder, bundle = Path(name, "shapes"), Path(name, "shapes.veilcam")
+        folder, bundle = Path(name, "shapes"), Path(name, "fitted", "model.veilcam")
         train = str(Path(sys.executable).with_name("veilcam-train"))
         commands = [
             (train, "draw", str(folder), "--count", str(count), "--seed", str(seed)),
-            (train, "fit", "--data", str(folder), "--out", str(bundle)),
+            (train, "fit", "--data", str(folder), "--out", str(bundle.parent)),
         ]
         for command in commands:
             subprocess.run(command, check=True)

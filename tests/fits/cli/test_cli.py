@@ -20,8 +20,8 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.cli.bundle import light_line
-from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.cli.fit import parse_budget, run_folder
+from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
@@ -43,7 +43,7 @@ def test_keyring_end_to_end(call: Call, source: Source, digit_folder: Path, tmp_
     bundle = read_bundle(out)
     assert bundle.accuracy is not None
     assert bundle.accuracy.value > 0.8
-    assert bundle.provenance["settings"]["recipe"]["epochs"] == 6  # type: ignore[index, call-overload]
+    assert bundle.provenance["settings"]["epochs"] == 6  # type: ignore[index, call-overload]
     seeds = {pair["seed"] for pair in bundle.provenance["pairs"]}  # type: ignore[union-attr, index, call-overload]
     assert len(seeds) == 2
     assert all(pair.transfer_error is not None for pair in bundle.pairs)
@@ -70,11 +70,15 @@ def test_keyring_end_to_end(call: Call, source: Source, digit_folder: Path, tmp_
 
 @pytest.mark.thorough
 def test_fit_prints_and_writes(call: Call, digit_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "a.veilcam"
+    out = tmp_path / "run"
     printed = call("fit", "--data", digit_folder, *FIT, "--threads", 1, "--out", out)
-    assert "FC20" in printed
-    assert f"wrote {out}" in printed.replace("\n", "")
-    bundle = read_bundle(out)
+    assert "FC20 learned 6x8: epoch 6 of 6  validation" in printed
+    assert f"wrote {out}/report.html" in printed.replace("\n", "")
+    assert {path.name for path in out.iterdir()} == {
+        *("model.veilcam", "history.csv", "accuracy.png", "confusion.png", "worst.png"),
+        *("report.html", "work"),
+    }
+    bundle = read_bundle(out / "model.veilcam")
     assert bundle.task == "mnist"
     assert bundle.light is not None
     assert bundle.transfer_error is not None
@@ -84,21 +88,18 @@ def test_fit_prints_and_writes(call: Call, digit_folder: Path, tmp_path: Path) -
 
 def test_file_logs_and_other_options(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     config, logs = tmp_path / "a.toml", tmp_path / "logs"
-    config.write_text(
-        'embedding = "3x4"\nencoder = "lens"\nchange = "rotate"\n[recipe]\nepochs = 2\n'
-    )
-    table = tmp_path / "epochs.csv"
-    table.write_text("epoch,training_loss\n1,9\n2,9\n3,9\n")  # of a run before this one
+    config.write_text('embedding = "3x4"\nencoder = "lens"\nchange = "rotate"\nepochs = 2\n')
     options = ("--config", config, "--embedding", "6x8", "--tensorboard", logs, "--device", "cpu")
-    printed = call("fit", "--data", digit_folder, *options, "--csv", table)
+    printed = call("fit", "--data", digit_folder, *options, "--out", tmp_path / "run")
     assert "lens" in printed
     assert "6x8" in printed
     assert "light:" not in printed
+    assert "no bundle: a device cannot show this camera" in printed
     curves = event_accumulator.EventAccumulator(str(logs))
     curves.Reload()
     assert len(curves.Scalars("accuracy/validation")) == 2
     assert [point.step for point in curves.Scalars("loss/training")] == [1, 2]
-    rows = list(csv.DictReader(table.read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "run" / "history.csv").read_text().splitlines()))
     assert [row["epoch"] for row in rows] == ["1", "2"]
     for column, curve in (
         ("training_loss", "loss/training"),
@@ -137,8 +138,15 @@ def test_download_says_what_it_can_fetch(call: Call, tmp_path: Path) -> None:
         (("--encoder", "fixed_measured"), "give --psf FILE"),
         (("--encoder", "fixed_measured", "--psf", "a.npz"), "a.npz is missing"),
         (("--config", "none.toml"), "none.toml is missing"),
-        (("--encoder", "digital", "--out", "a.veilcam"), "no mask that a panel can show"),
-        (("--binning", "point", "--out", "a.veilcam"), "use binning 'area', or leave out --out"),
+        (("--out", "a.veilcam"), "--out a.veilcam is not valid: give a folder"),
+        (("--out", "."), "--out . holds files: go on with --resume, or use another folder"),
+        (("--out", "new", "--resume"), "new holds no fit to go on with: leave out --resume"),
+        (("--resume",), "runs/digits-24x32 holds no fit to go on with"),
+        (("--budget", "3"), "--budget 3 is not valid: use e.g. 90s, 3m or 1h"),
+        (("--budget", "0s"), "--budget 0s is not valid"),
+        (("--budget", "3m", "--epochs", "2"), "a budget chooses the epochs, so use one of them"),
+        (("--budget", "3m"), "a budget is for a Scene classifier"),
+        (("--fresh", "--encoder", "lens"), "fresh masks have no encoder: leave it out"),
     ],
 )
 def test_bad_input_is_one_line_that_says_what_to_do(
@@ -151,11 +159,12 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     reason: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    said = call("fit", "--data", digit_folder, *arguments, code=1)
+    (tmp_path / "digits").symlink_to(digit_folder)
+    said = call("fit", "--data", "digits", *arguments, code=1)
     assert said.startswith("error: ")
     assert reason in said
     assert said.count("\n") == 1
-    assert not list(tmp_path.glob("*.veilcam"))
+    assert [path.name for path in tmp_path.iterdir()] == ["digits"]
 
 
 def test_keyring_for_a_binning_of_no_device(call: Call, digit_folder: Path, tmp_path: Path) -> None:
@@ -170,49 +179,59 @@ def test_keyring_for_a_binning_of_no_device(call: Call, digit_folder: Path, tmp_
 
 
 def test_no_bundle_of_a_binning_that_no_device_makes(source: Source) -> None:
-    recipe = Recipe(epochs=1, batch=300)
-    settings = Settings(embedding="3x4", binning="point", recipe=recipe)
+    settings = FitSettings(embedding="3x4", binning="point", epochs=1, batch=300)
     outcome = run_fit(settings, source, Camera())
     with pytest.raises(TrainingError, match="use binning 'area'"):
         as_bundle([outcome], source, Camera())
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", [("fit",), ("keyring", "--pairs", 1)])
-def test_work_has_checkpoints(
-    monkeypatch: pytest.MonkeyPatch,
-    call: Call,
-    digit_folder: Path,
-    tmp_path: Path,
-    name: tuple[object, ...],
+@pytest.mark.parametrize("name", ["fit", "keyring"])
+def test_broken_off_run_is_taken_up(
+    monkeypatch: pytest.MonkeyPatch, call: Call, digit_folder: Path, tmp_path: Path, name: str
 ) -> None:
-    work, out = tmp_path / "work", tmp_path / "a.veilcam"
-    options = ("--data", digit_folder, *FIT, "--epochs", 1, "--seed", 1, "--out", out)
-    call(*name, *options)
-    assert list(tmp_path.iterdir()) == [out]
-    call(*name, *options, "--work", work)
-    assert {path.suffix for path in work.iterdir()} == {".checkpoint"}
+    out, work = tmp_path / "run", tmp_path / "work"
+    options: tuple[object, ...] = ("--data", digit_folder, *FIT, "--epochs", 1, "--out", out)
+    again = ("--resume",)
+    if name == "keyring":
+        options = (*options[:-1], tmp_path / "a.veilcam", "--pairs", 1, "--work", work)
+        again = ()
+    call(name, *options)
+    kept = work if name == "keyring" else out / "work"
+    assert {path.name for path in kept.iterdir()} > {"seed"}
 
     def begun(*_: object, **__: object) -> None:
         raise AssertionError
 
     monkeypatch.setattr(fitting, "_run_epoch", begun)  # what is in it is taken up
-    call(*name, *options, "--work", work)
+    call(name, *options, *again)
 
 
-@pytest.mark.parametrize("name", ["fit", "keyring", "fit-fresh"])
+def test_run_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    first, second = (run_folder(None, "shapes", resume=False) for _ in range(2))
+    assert (first, second) == (Path("runs/shapes"), Path("runs/shapes-2"))
+    assert run_folder(None, "shapes", resume=True) == second
+    assert run_folder(first, "other", resume=True) == first
+
+
+def test_budget_is_a_number_with_a_unit() -> None:
+    assert [parse_budget(text) for text in ("90s", "3m", "1.5h")] == [90, 180, 5400]
+
+
+@pytest.mark.parametrize("name", ["fit", "keyring"])
 def test_threads(
     monkeypatch: pytest.MonkeyPatch, call: Call, digit_folder: Path, tmp_path: Path, name: str
 ) -> None:
     seen: list[int] = []
     monkeypatch.setattr(torch, "set_num_threads", seen.append)
     # Refused, but only after the threads are set.
-    command = (name, "--data", digit_folder, "--out", tmp_path / "a.zip")
+    command = (name, "--data", digit_folder, "--out", tmp_path / "none" / "a.veilcam")
     call(*command, "--threads", 3, code=1)
     assert seen == [3]
     seen.clear()
     call(*command, code=1)
-    assert seen == ([1] if name == "fit-fresh" else [])
+    assert seen == []
 
 
 def test_worker_threads(

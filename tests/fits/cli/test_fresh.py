@@ -1,4 +1,4 @@
-"""``veilcam-train fit-fresh`` and ``frame`` end to end, and what they say to bad input."""
+"""``veilcam-train fit --fresh`` and ``frame`` end to end, and what they say to bad input."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from veilcam_training.cli.main import app
 from veilcam_training.errors import TrainingError
 
 SMALL = """classifier = "Scene2"
-masks = 4
-misalignment = {panels = 2}
-recipe = {tolerance = 1e-4, rank = 20, epochs = 2}
+embedding = "3x4"
+tolerance = 1e-4
+rank = 20
+epochs = 2
+fresh = {masks = 4, misalignment = {panels = 2}}
 """
 """What a fit spends its time on, made small: nothing that a command says depends on it."""
 
 
 @pytest.mark.slow
 def test_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
-    out, small = tmp_path / "fresh.veilcam", tmp_path / "small.toml"
+    run, small = tmp_path / "run", tmp_path / "small.toml"
+    out = run / "model.veilcam"
     small.write_text(SMALL)
-    command = ["fit-fresh", "--data", str(digit_folder), "--out", str(out)]
-    chosen = ["--task", "mnist_3x4", "--config", str(small), "--epochs", "1", "--seed", "2"]
-    result = CliRunner().invoke(app, [*command, *chosen, "--masks", "5"])
+    command = ["fit", "--fresh", "--data", str(digit_folder), "--out", str(run)]
+    chosen = ["--config", str(small), "--epochs", "1", "--seed", "2"]
+    result = CliRunner().invoke(app, [*command, *chosen])
     assert result.exit_code == 0, result.output
-    assert "on 5 unseen masks" in result.output
+    assert "on 100 unseen masks" in result.output
     bundle = read_bundle(out)
     assert bundle.light is not None
     told = f"planned to 1.0e-04, predicted error {bundle.light.error:.1e} (NOT reached"
@@ -47,7 +50,6 @@ def test_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
     assert f"wrote {frame}" in result.output.replace("\n", "")
     assert read_frame(frame).embedding == bundle.embedding
     for refused, reason in (
-        ([*command[:4], str(tmp_path / "fresh.zip")], "use a name that ends in .veilcam"),
         ([*command, "--epochs", "0"], "epochs is not valid: Input should be greater"),
         ([*command, "--seed", "-1"], "seed is not valid: Input should be greater"),
         (["frame", str(out), str(tmp_path / "a.zip")], "a name that ends in .safetensors"),
@@ -60,17 +62,17 @@ def test_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
-    config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
-    config.write_text(f'task = "mnist_3x4"\n{SMALL}')
-    out = tmp_path / "fresh.veilcam"
-    command = ["fit-fresh", "--data", str(digit_folder), "--out", str(out), "--masks", "5"]
-    command += ["--config", str(config), "--device", "cpu", "--work", str(work), "--batch", "80"]
+    config, logs = tmp_path / "a.toml", tmp_path / "logs"
+    config.write_text(SMALL)
+    run = tmp_path / "run"
+    out, work = run / "model.veilcam", run / "work"
+    command = ["fit", "--data", str(digit_folder), "--out", str(run)]
+    command += ["--config", str(config), "--device", "cpu", "--batch", "80"]
     result = CliRunner().invoke(app, [*command, "--tensorboard", str(logs)])
     assert result.exit_code == 0, result.output
     made: Any = read_bundle(out).provenance["settings"]
-    recipe = made["recipe"]
-    assert (recipe["rank"], made["classifier"], recipe["batch"]) == (20, "Scene2", 80)
-    assert made["misalignment"]["panels"] == 2
+    assert (made["rank"], made["classifier"], made["batch"]) == (20, "Scene2", 80)
+    assert made["fresh"]["misalignment"]["panels"] == 2
     # Nobody else knows the seed, and it is taken up with the rest.
     kept = {path.name for path in work.iterdir()}
     assert kept == {"fit.checkpoint", "seed", "statistics.checkpoint"}
@@ -78,11 +80,11 @@ def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     curves.Reload()
     assert [point.step for point in curves.Scalars("accuracy/validation")] == [1, 2]
     first = read_bundle(out)
-    result = CliRunner().invoke(app, command)
+    result = CliRunner().invoke(app, [*command, "--resume"])
     assert result.exit_code == 0, result.output
     again: Any = read_bundle(out).provenance["settings"]
     assert again["seed"] == made["seed"] != 0
     assert read_bundle(out).accuracy == first.accuracy
-    error = CliRunner().invoke(app, [*command, "--device", "tpu"]).exception
+    error = CliRunner().invoke(app, [*command, "--resume", "--device", "tpu"]).exception
     assert isinstance(error, TrainingError)
     assert "use cpu, cuda or auto" in str(error)

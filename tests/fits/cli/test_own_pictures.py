@@ -21,7 +21,7 @@ QUICK = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--devi
 
 @pytest.mark.slow
 def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> None:
-    shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
+    shapes, out = tmp_path / "shapes", tmp_path / "own"
     # A line breaks where the terminal ends, and a path is as long as it is.
     said = call("draw", shapes, "--count", 50, "--seed", 3).replace("\n", "")
     assert f"into {shapes}/train" in said
@@ -29,7 +29,7 @@ def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> Non
     assert "image-folder: 32 x 32, gray" in printed
     assert "Scene32" in printed
     assert "star" in printed[: printed.index("Scene32")]  # before the fit
-    bundle = read_bundle(out)
+    bundle = read_bundle(out / "model.veilcam")
     assert bundle.task == "image-folder"
     assert bundle.labels == ("circle", "cross", "square", "star", "triangle")
     assert bundle.scene.shape == (32, 32)
@@ -37,23 +37,25 @@ def test_folder_is_drawn_summed_up_and_fitted(call: Call, tmp_path: Path) -> Non
     assert isinstance(settings, dict)
     assert settings["classifier"] == "Scene32"
     # What is named goes before what was found.
-    assert "LR" in call("fit", "--data", shapes, *QUICK, "--classifier", "LR")
+    assert "LR" in call(
+        "fit", "--data", shapes, *QUICK, "--classifier", "LR", "--out", tmp_path / "b"
+    )
     assert "is missing" in call("fit", "--data", shapes, *QUICK, "--dataset", "mnist", code=1)
 
 
 @pytest.mark.slow
 def test_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
-    shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
+    shapes, out = tmp_path / "shapes", tmp_path / "own"
     call("draw", shapes, "--count", 200)
     (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
     config = tmp_path / "a.toml"
     config.write_text(
-        'embedding = "6x8"\nclassifier = "Scene2"\nvalidation_masks = 4\nmasks = 4\n'
-        "[misalignment]\npanels = 2\n[recipe]\nrank = 9"
+        'embedding = "6x8"\nclassifier = "Scene2"\nrank = 9\n[fresh]\nvalidation_masks = 4\n'
+        "masks = 4\n[fresh.misalignment]\npanels = 2"
     )
-    options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
-    call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out)
-    bundle = read_bundle(out)
+    options = ("--config", config, "--epochs", 1, "--batch", 16, "--seed", 0)
+    call("fit", "--fresh", "--data", shapes, *options, "--device", "cpu", "--out", out)
+    bundle = read_bundle(out / "model.veilcam")
     assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
 
 
@@ -83,8 +85,8 @@ def coloured(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_folder_in_colour_is_fitted_and_served(call: Call, coloured: Path, tmp_path: Path) -> None:
-    data, out = coloured, tmp_path / "own.veilcam"
-    call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out)
+    data, out = coloured, tmp_path / "own" / "model.veilcam"
+    call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out.parent)
     bundle = read_bundle(out)
     assert bundle.channels == 3
     pair = bundle.pairs[0]
@@ -112,12 +114,13 @@ def test_folder_in_colour_is_fitted_and_served(call: Call, coloured: Path, tmp_p
 
 @pytest.mark.slow
 def test_fresh_masks_read_a_folder_in_colour(call: Call, coloured: Path, tmp_path: Path) -> None:
-    config, out = tmp_path / "a.toml", tmp_path / "own.veilcam"
+    config, out = tmp_path / "a.toml", tmp_path / "own" / "model.veilcam"
     config.write_text(
-        'embedding = "6x8"\nvalidation_masks = 4\nmasks = 8\n[misalignment]\npanels = 2'
+        'embedding = "6x8"\n[fresh]\nvalidation_masks = 4\nmasks = 8\n'
+        "[fresh.misalignment]\npanels = 2"
     )
-    options = ("--config", config, "--epochs", 16, "--batch", 8, "--masks", 4, "--seed", 0)
-    call("fit-fresh", "--data", coloured, *options, "--device", "cpu", "--out", out)
+    options = ("--config", config, "--epochs", 16, "--batch", 8, "--seed", 0)
+    call("fit", "--fresh", "--data", coloured, *options, "--device", "cpu", "--out", out.parent)
     folders = tuple(str(coloured / name) for name in COLOURS)
     with FakeCamera({"bundle": out, "scenes": folders}) as fake, fake.camera() as camera:
         assert camera.status().release == "none"
@@ -125,24 +128,16 @@ def test_fresh_masks_read_a_folder_in_colour(call: Call, coloured: Path, tmp_pat
     assert sum(label == list(COLOURS)[place // 20] for place, label in enumerate(told)) >= 57
 
 
-@pytest.mark.thorough
-def test_fit_that_keeps_nothing_says_so_before_it_starts(call: Call, tmp_path: Path) -> None:
-    data, said = draw(tmp_path / "data", "cat", "dog"), "nothing of this fit will be kept"
-    printed = call("fit", "--data", data, *QUICK)
-    assert said in printed[: printed.index("image-folder")]
-    assert said not in call("fit", "--data", data, *QUICK, "--work", tmp_path / "work")
-
-
 def test_label_that_no_bundle_can_hold_costs_no_fit(call: Call, tmp_path: Path) -> None:
     data = draw(tmp_path / "data", "tea", "Unknown")
-    for command in ("fit", "fit-fresh", "keyring"):
-        said = call(command, "--data", data, "--out", tmp_path / "a.veilcam", code=1)
+    for command, out in (("fit",), "a"), (("fit", "--fresh"), "a"), (("keyring",), "a.veilcam"):
+        said = call(*command, "--data", data, "--out", tmp_path / out, code=1)
         assert "label 'Unknown' is the word" in said
 
 
 @pytest.mark.thorough
 def test_damaged_pictures_may_be_left_out(call: Call, tmp_path: Path) -> None:
-    data, out = draw(tmp_path / "caf\udce9", "cat", "dog"), tmp_path / "a.veilcam"
+    data, out = draw(tmp_path / "caf\udce9", "cat", "dog"), tmp_path / "a"
     (data / "cat" / "3.png").write_bytes(b"")
     (data / "dog" / "notes.txt").write_text("")
     assert "1 of 40 pictures cannot be read: cat/3.png" in call(
@@ -152,4 +147,4 @@ def test_damaged_pictures_may_be_left_out(call: Call, tmp_path: Path) -> None:
     assert "warning: passed over: 1 .txt" in printed
     assert "1 damaged pictures are left out: cat/3.png" in printed
     # Its folder's name is no UTF-8, and stands in the command.
-    assert r"caf\udce9" in str(read_bundle(out).provenance["command"])
+    assert r"caf\udce9" in str(read_bundle(out / "model.veilcam").provenance["command"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_training.cli import fresh as fresh_command
+from veilcam_training.cli import fit as fit_command
 from veilcam_training.cli import main as cli
 from veilcam_training.data import download
 from veilcam_training.errors import TrainingError
@@ -67,17 +67,16 @@ def test_good_places(folder: Path) -> None:
     assert (folder / "old.veilcam").read_text() == "old"
 
 
-FIT, KEYRING, FRESH = ("fit",), ("keyring",), ("fit-fresh", "--masks", "5", "--epochs", "1")
+FIT, KEYRING = ("fit",), ("keyring",)
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        *((*FIT, "--out", "folder.veilcam"), (*FRESH, "--out", "folder.veilcam")),
-        *((*command, "--out", "/proc/a.veilcam") for command in (FIT, KEYRING, FRESH)),
-        *((*command, "--out", "a.veilcam", "--work", "file") for command in (FIT, KEYRING, FRESH)),
-        *((*FIT, "--work", "/proc/a"), (*FIT, "--tensorboard", "file")),
-        (*FIT, "--csv", "/proc/a.csv"),
+        *((*KEYRING, "--out", "folder.veilcam"), (*KEYRING, "--out", "/proc/a.veilcam")),
+        (*KEYRING, "--out", "a.veilcam", "--work", "file"),
+        *((*FIT, "--out", "/proc/a"), (*FIT, "--fresh", "--out", "file")),
+        (*FIT, "--tensorboard", "file"),
         ("download", "mnist"),
     ],
     ids=" ".join,
@@ -93,9 +92,8 @@ def test_commands_try_their_places_first(
         raise AssertionError
 
     for module, name in (
-        (cli, "run_fit"),
         (cli, "fit_keyring"),
-        (fresh_command, "run_fresh"),
+        (fit_command, "fit_bundle"),
         (download, "_fetch"),
     ):
         monkeypatch.setattr(module, name, refuse)

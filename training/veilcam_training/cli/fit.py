@@ -47,7 +47,7 @@ from veilcam_training.encoders import read_psf
 from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.fit import FitResult, FreshResult, settle_seed
-from veilcam_training.experiments.keyring import fit_bundle
+from veilcam_training.experiments.keyring import check_fit, fit_bundle
 from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import (
     Callback,
@@ -130,6 +130,7 @@ def fit_command(
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
     source, camera = ReadOnce(source), Camera()
+    check_fit(settings, source, camera)
     folder = run_folder(out, f"{data.resolve().name}-{settings.embedding}", resume=resume)
     if tensorboard is not None:
         check_folder("--tensorboard", tensorboard)
@@ -157,9 +158,9 @@ def fit_command(
         )
     if bundle is not None:
         write_bundle(folder / BUNDLE, bundle)
-    said = _sentences(result, bundle)
-    _report(folder, name, result, source, said)
-    for line in (*said, f"wrote {folder}/report.html", _next(folder, bundle)):
+    lines = _sentences(result, bundle)
+    _report(folder, name, result, source, lines)
+    for line in (*lines, f"wrote {folder}/report.html", _next(folder, bundle)):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 

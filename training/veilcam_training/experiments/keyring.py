@@ -139,9 +139,7 @@ def fit_bundle(
     def hold_fresh(model: FreshClassifier) -> None:
         hold(_of_fresh(model, model.encoder, source, camera), model.change)
 
-    bundle: Bundle | None = None
     if settings.fresh is not None:
-        check_fresh(settings, source, camera)
         fresh = run_fresh(
             *(settings, source, camera),
             budget=budget,
@@ -151,8 +149,6 @@ def fit_bundle(
             held=hold_fresh,
         )
         return fresh, as_fresh_bundle(fresh, source, camera, *hiding)
-    if on_panel(settings):
-        check_pairs(settings, source, camera)
     result = run_fit(
         *(settings, source, camera),
         budget=budget,
@@ -161,14 +157,28 @@ def fit_bundle(
         callbacks=callbacks,
         held=hold_pair,
     )
-    if on_panel(settings):
-        bundle = as_bundle([result], source, camera, *hiding)
-    return result, bundle
+    if not on_panel(settings):
+        return result, None
+    return result, as_bundle([result], source, camera, *hiding)
 
 
 def on_panel(settings: FitSettings) -> bool:
     """Return whether a device can show the camera that ``settings`` describe."""
     return settings.encoder in WITH_PANEL and settings.binning == "area"
+
+
+def check_fit(settings: FitSettings, source: Source, camera: Camera) -> None:
+    """Refuse before :func:`fit_bundle` what cannot be fitted, or held by a bundle.
+
+    Raises:
+        TrainingError: settings that cannot be used.
+    """
+    if settings.fresh is not None:
+        check_fresh(settings, source, camera)
+    elif on_panel(settings):
+        check_pairs(settings, source, camera)
+    else:
+        make_model(settings, source, camera)
 
 
 def check_pairs(settings: FitSettings, source: Source, camera: Camera) -> None:
