@@ -22,7 +22,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "CONTRIBUTING.md": [CHECKS],
     "README.md": [HIDING, HEADLINES],
     "deploy/README.md": [DEPLOYED, SIMULATED],
-    "docs/figures.md": [TRAINED, LIGHT, UNUSED, KEYS, DAEMON],
+    "docs/figures.md": [TRAINED | CELLS_READ, LIGHT, UNUSED, KEYS, DAEMON],
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
@@ -34,7 +34,6 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [SERVED, CALIBRATED],
-    "docs/training.md": [CELLS_READ],
     "docs/watch.md": [BELIEF],
 }
 """The tables of each page, from top to bottom."""
