@@ -192,7 +192,7 @@ def test_broken_off_run_is_taken_up(
 ) -> None:
     out, work = tmp_path / "run", tmp_path / "work"
     options: tuple[object, ...] = ("--data", digit_folder, *FIT, "--epochs", 1, "--out", out)
-    again = ("--resume",)
+    again: tuple[str, ...] = ("--resume",)
     if name == "keyring":
         options = (*options[:-1], tmp_path / "a.veilcam", "--pairs", 1, "--work", work)
         again = ()

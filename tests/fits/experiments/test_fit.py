@@ -29,7 +29,7 @@ from veilcam_training.experiments import fit as fitting
 from veilcam_training.experiments.fit import FitResult, light_plan, run_fit, transfer_error
 from veilcam_training.experiments.model import make_model
 from veilcam_training.seeding import stream
-from veilcam_training.trainer.callbacks import Epoch
+from veilcam_training.trainer.callbacks import Callback, Epoch
 
 SMALL = FitSettings(embedding="3x4", epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 Writer = Callable[..., Path]
@@ -39,7 +39,7 @@ def settings(**changes: Any) -> FitSettings:
     return SMALL.model_copy(update=changes)
 
 
-class Unfitted:
+class Unfitted(Callback):
     """An observer of a fit that must not begin."""
 
     def step(self, epoch: int, done: int, steps: int) -> None:

@@ -41,7 +41,11 @@ def settings(**changes: Any) -> FitSettings:
 
 def fresh(**changes: Any) -> FitSettings:
     """The same for fresh masks; what these have of ``changes`` goes there."""
-    masks = {"misalignment": Misalignment(panels=2), "masks": 4, "validation_masks": 4}
+    masks: dict[str, Any] = {
+        "misalignment": Misalignment(panels=2),
+        "masks": 4,
+        "validation_masks": 4,
+    }
     masks |= {name: changes.pop(name) for name in FreshMasks.model_fields if name in changes}
     small = {"rank": 20, "epochs": 3, "batch": 64, "rate": 0.1, "averaging": 0.9}
     chosen = FitSettings(embedding="3x4", classifier="Scene2", fresh=FreshMasks(**masks))

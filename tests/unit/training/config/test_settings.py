@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,22 +99,14 @@ SIZES = ("24x32", "12x16", "6x8", "3x4")
 @pytest.mark.parametrize("change", ["none", "shift", "rotate"])
 def test_best_recipes_are_valid(source: Source, encoder: str, classifier: str, change: str) -> None:
     for embedding in SIZES if change == "none" else SIZES[:1]:
-        recipe = find_recipe(
-            "best",
-            FitSettings(
-                data="mnist",
-                encoder=encoder,
-                embedding=embedding,
-                classifier=classifier,
-                change=change,
-            ),
-        )
+        names: dict[str, Any] = {"encoder": encoder, "classifier": classifier, "change": change}
+        recipe = find_recipe("best", FitSettings(embedding=embedding, **names))
         assert FitSettings.model_validate(recipe.model_dump()) == recipe
         # What a recipe asks of encoder and classifier is the same at every size.
         make_model(recipe.model_copy(update={"embedding": "3x4"}), source, Camera())
 
 
-def values(name: str, **names: str) -> FitSettings:
+def values(name: str, **names: Any) -> FitSettings:
     """Values of a recipe, without the names that it goes by."""
     plain = {"encoder": "learned", "embedding": "24x32"}
     return find_recipe(name, FitSettings(**names)).model_copy(update=plain)
