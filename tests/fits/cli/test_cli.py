@@ -209,8 +209,10 @@ def test_broken_off_run_is_taken_up(
 
 def test_run_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    first, second = (run_folder(None, "shapes", resume=False) for _ in range(2))
-    assert (first, second) == (Path("runs/shapes"), Path("runs/shapes-2"))
+    first, second = Path("runs/shapes"), Path("runs/shapes-2")
+    for folder in (first, second):
+        assert run_folder(None, "shapes", resume=False) == folder
+        (folder / "work").mkdir(parents=True)
     assert run_folder(None, "shapes", resume=True) == second
     assert run_folder(first, "other", resume=True) == first
 

@@ -130,10 +130,11 @@ def fit_command(
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
     source, camera = ReadOnce(source), Camera()
-    check_fit(settings, source, camera)
     folder = run_folder(out, f"{data.resolve().name}-{settings.embedding}", resume=resume)
     if tensorboard is not None:
         check_folder("--tensorboard", tensorboard)
+    check_fit(settings, source, camera)
+    (folder / "work").mkdir(parents=True, exist_ok=True)
     settings = settle_seed(settings, folder / "work")
     show_summary(console, source)
     psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
@@ -177,7 +178,7 @@ def parse_budget(text: str) -> float:
 
 
 def run_folder(out: Path | None, name: str, *, resume: bool) -> Path:
-    """Return the folder of a fit, made and found to be writable.
+    """Return the folder of a fit, found to be writable; it is not made.
 
     Args:
         out: folder that was asked for; None for one below ``runs``.
@@ -201,7 +202,6 @@ def run_folder(out: Path | None, name: str, *, resume: bool) -> Path:
         f"--out {folder} holds files: go on with --resume, or use another folder",
     )
     check_folder("--out", folder)
-    (folder / "work").mkdir(parents=True, exist_ok=True)
     return folder
 
 
