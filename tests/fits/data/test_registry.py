@@ -58,9 +58,9 @@ def test_new_data_set_is_used(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.setattr(registry, "SOURCES", {**registry.SOURCES, "stripes": StripesSource})
     write_stripes(tmp_path)
     command = f"fit --data {tmp_path} --dataset stripes --embedding 6x8 --seed 0"
-    options = f"--epochs 20 --batch 12 --device cpu --out {tmp_path / 'a.veilcam'}"
+    options = f"--epochs 20 --batch 12 --device cpu --out {tmp_path / 'run'}"
     call(*f"{command} {options}".split())
-    bundle = read_bundle(tmp_path / "a.veilcam")
+    bundle = read_bundle(tmp_path / "run" / "model.veilcam")
     source: Source = StripesSource(tmp_path)
     assert (bundle.labels, bundle.scene) == (source.labels, source.scene)
     assert bundle.provenance["data_sha256"] == source.digests()

@@ -19,12 +19,12 @@ from veilcam_training.experiments.records import commit, own_command
 
 
 def test_bundle_says_where_it_comes_from(call: Call, digit_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "a.veilcam"
+    out = tmp_path / "run"
     options = f"--data {digit_folder} --out {out} --epochs 1 --seed 3 --embedding 3x4"
     before = datetime.now(UTC).replace(microsecond=0)
     call("fit", *options.split())
     after = datetime.now(UTC)
-    record = read_bundle(out).provenance
+    record = read_bundle(out / "model.veilcam").provenance
     settings = record["settings"]
     assert isinstance(settings, dict)
     assert settings["embedding"] == "3x4"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from veilcam_training.bundle import Bundle, read_bundle
+from veilcam_training.cli import fit as fit_command
 from veilcam_training.cli import main as cli
-from veilcam_training.cli import options
 from veilcam_training.config.files import load_settings
 from veilcam_training.config.settings import FitSettings
 from veilcam_training.errors import TrainingError
@@ -43,14 +43,15 @@ Make = Callable[..., Bundle]
 def make(monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path) -> Make:
     """The bundle that ``veilcam-train`` writes."""
 
-    def run(*arguments: object) -> Bundle:
-        out = tmp_path / "a.veilcam"
+    def run(*arguments: object, name: str = "run") -> Bundle:
+        folder = arguments[0] == "fit"
+        out = tmp_path / (name if folder else "a.veilcam")
         command = ("veilcam-train", *arguments, "--data", digit_folder, "--out", out)
         monkeypatch.setattr(sys, "argv", [str(word) for word in command])
         with pytest.raises(SystemExit) as caught:
             cli.main()
         assert not caught.value.code
-        return read_bundle(out)
+        return read_bundle(out / "model.veilcam" if folder else out)
 
     return run
 
@@ -87,19 +88,22 @@ def test_runs_without_a_seed_differ_in_masks(
 def test_run_without_a_seed_is_taken_up_with_its_own(
     monkeypatch: pytest.MonkeyPatch, make: Make, tmp_path: Path, name: str
 ) -> None:
-    work = tmp_path / "work"
+    folder = name == "fit"
+    work = tmp_path / "run" / "work" if folder else tmp_path / "work"
+    command = COMMANDS[name] if folder else (*COMMANDS[name], "--work", work)
     with monkeypatch.context() as patch:
-        for module in (cli, options):
+        for module in (cli, fit_command):
             patch.setattr(module, "FitProgress", Broken)
         with pytest.raises(InterruptionError):
-            make(*COMMANDS[name], "--work", work)
+            make(*command)
     (checkpoint,) = work.glob("*.checkpoint")
     assert stat.S_IMODE((work / "seed").stat().st_mode) == 0o600
     kept = (work / "seed").read_bytes()
-    resumed = make(*COMMANDS[name], "--work", work)  # a checkpoint of another seed is refused
+    # A checkpoint of another seed is refused.
+    resumed = make(*command, *(("--resume",) if folder else ()))
     assert (work / "seed").read_bytes() == kept
     assert checkpoint.exists()
-    assert same(resumed, make(*COMMANDS[name], "--seed", seeds(resumed)[0]))
+    assert same(resumed, make(*COMMANDS[name], "--seed", seeds(resumed)[0], name="other"))
 
 
 def test_seed_that_was_given_is_kept(tmp_path: Path) -> None:

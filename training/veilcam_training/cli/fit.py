@@ -1,5 +1,6 @@
 """``veilcam-train fit``: one camera and classifier, and a folder with all that came of it."""
 
+import os
 import re
 import time
 from functools import partial
@@ -130,10 +131,12 @@ def fit_command(
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
     source, camera = ReadOnce(source), Camera()
-    folder = run_folder(out, f"{data.resolve().name}-{settings.embedding}", resume=resume)
+    folder = run_folder(
+        out, f"{Path(os.path.abspath(data)).name}-{settings.embedding}", resume=resume
+    )
     if tensorboard is not None:
         check_folder("--tensorboard", tensorboard)
-    check_fit(settings, source, camera)
+    check_fit(settings, source, camera, budget=seconds)
     (folder / "work").mkdir(parents=True, exist_ok=True)
     settings = settle_seed(settings, folder / "work")
     show_summary(console, source)
@@ -194,6 +197,7 @@ def run_folder(out: Path | None, name: str, *, resume: bool) -> Path:
         folder = numbered[max(0, free - 1) if resume else free]
     else:
         folder = out
+    check_folder("--out", folder)
     require(folder.suffix != ".veilcam", f"--out {folder} is not valid: give a folder")
     begun = (folder / "work").is_dir()
     require(begun or not resume, f"{folder} holds no fit to go on with: leave out --resume")
@@ -201,7 +205,6 @@ def run_folder(out: Path | None, name: str, *, resume: bool) -> Path:
         resume or not folder.exists() or not any(folder.iterdir()),
         f"--out {folder} holds files: go on with --resume, or use another folder",
     )
-    check_folder("--out", folder)
     return folder
 
 

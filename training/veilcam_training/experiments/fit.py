@@ -34,6 +34,7 @@ from veilcam_training.experiments.model import (
 )
 from veilcam_training.files import read_private, write_private
 from veilcam_training.hiding.eye import Eye, drawn_eye
+from veilcam_training.models.classifiers import reads_scenes
 from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.loop import Fit, fit, load_checkpoint, save_checkpoint
@@ -130,13 +131,9 @@ def run_fit(
         TrainingError: settings or data that cannot be used.
     """
     begun = time.process_time()
+    check_budget(settings, budget)
     parts, test = _read(source, device, training)
     model = make_model(settings, source, camera).to(device)
-    require(
-        budget is None or (model.measures_once and not settings.end_to_end),
-        "a budget is for a Scene classifier that is fitted behind a finished mask: "
-        "leave out the budget, or end_to_end",
-    )
     for callback in callbacks:
         callback.stage("learning the mask")
     eye = _eye(model) if settings.hidden else None
@@ -170,6 +167,19 @@ def run_fit(
     result = judge(fitted.model, tested, test.labels)
     accuracy = Accuracy(result.accuracy, f"{source.name} test", len(test))
     return FitResult(settings, fitted, accuracy, result.logits)
+
+
+def check_budget(settings: FitSettings, budget: float | None) -> None:
+    """Refuse a budget for a fit whose time cannot be told from a few steps.
+
+    Raises:
+        TrainingError: a classifier that is learned together with its mask.
+    """
+    require(
+        budget is None or (reads_scenes(settings.classifier) and not settings.end_to_end),
+        "a budget is for a Scene classifier that is fitted behind a finished mask: "
+        "leave out the budget, or end_to_end",
+    )
 
 
 def _eye(model: LenslessClassifier) -> Eye | None:

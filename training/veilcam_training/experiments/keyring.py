@@ -32,6 +32,7 @@ from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import (
     FitResult,
     FreshResult,
+    check_budget,
     light_plan,
     run_fit,
     run_fresh,
@@ -167,12 +168,15 @@ def on_panel(settings: FitSettings) -> bool:
     return settings.encoder in WITH_PANEL and settings.binning == "area"
 
 
-def check_fit(settings: FitSettings, source: Source, camera: Camera) -> None:
+def check_fit(
+    settings: FitSettings, source: Source, camera: Camera, *, budget: float | None = None
+) -> None:
     """Refuse before :func:`fit_bundle` what cannot be fitted, or held by a bundle.
 
     Raises:
         TrainingError: settings that cannot be used.
     """
+    check_budget(settings, budget)
     if settings.fresh is not None:
         check_fresh(settings, source, camera)
     elif on_panel(settings):
