@@ -21,11 +21,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.paper.results import RESULT
+from benchmarks.paper.results import BUNDLE, RESULT, load_results
 from benchmarks.rig import work_folder
-from benchmarks.training.table_resume import bundles, cells
+
+from veilcam_training.bundle import read_bundle
 
 NODES = {"veilcam-one": "10.199.77.1", "veilcam-two": "10.199.77.2"}
 """Network namespaces, and their addresses: private, and of no network but theirs."""
@@ -52,6 +54,27 @@ def ip(*arguments: str) -> None:
 def within(node: str, command: Sequence[str]) -> list[str]:
     """The command that runs ``command`` on a node."""
     return ["ip", "netns", "exec", node, *command]
+
+
+def cells(work: Path) -> list[dict[str, object]]:
+    """Return the numbers of every finished cell."""
+    return [result.numbers() for result in load_results(work)]
+
+
+def bundles(first: Path, second: Path) -> bool:
+    """Return whether both have the same masks and weights."""
+    paths = [sorted(work.glob(f"*/{BUNDLE}")) for work in (first, second)]
+    if [path.parent.name for path in paths[0]] != [path.parent.name for path in paths[1]]:
+        return False
+    for one, other in zip(*paths, strict=True):
+        pairs = [read_bundle(path).pairs[0] for path in (one, other)]
+        if (pairs[0].levels != pairs[1].levels).any():
+            return False
+        if any(
+            not np.array_equal(pairs[0].weights[k], pairs[1].weights[k]) for k in pairs[0].weights
+        ):
+            return False
+    return True
 
 
 @contextmanager

@@ -254,8 +254,14 @@ def _facts(
         ("validation", f"{100 * best.validation_accuracy:.2f} %"),
         ("processor time", minutes(last.processor_seconds)),
         ("batch, rate", f"{settings.batch}, {settings.rate:g}"),
-        ("noise", "none" if settings.snr_db is None else f"{settings.snr_db:g} dB"),
+        ("noise", _noise(settings.snr_db)),
     ]
+
+
+def _noise(snr_db: float | str | None) -> str:
+    if snr_db is None:
+        return "none"
+    return snr_db if isinstance(snr_db, str) else f"{snr_db:g} dB"
 
 
 def _next(folder: Path, bundle: Bundle | None) -> str:

@@ -70,10 +70,14 @@ def _refused(where: str) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        reason = first["msg"].removeprefix("Value error, ")
+        found: dict[str, list[str]] = {}
+        for each in error.errors(include_url=False, include_context=False):
+            # A step that is no name tells which of several types was tried.
+            name = ".".join(step for step in map(str, each["loc"]) if step.isidentifier())
+            found.setdefault(name, []).append(each["msg"].removeprefix("Value error, "))
         # Several settings that do not fit together have no place, and the reason names them.
-        name = ".".join(str(step) for step in first["loc"])
+        name, reasons = next(iter(found.items()))
+        reason = " or ".join(reasons)
         said = f"{name} is not valid: {reason}" if name else reason
         raise TrainingError(f"{where}: {said}") from None
 

@@ -8,8 +8,9 @@ from typing import Annotated, Literal, Self
 import torch
 from pydantic import BaseModel, Field, model_validator
 
-from veilcam_optics.camera.geometry import Embedding
+from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.errors import OpticsError
+from veilcam_optics.sensor.readout import photon_snr_db
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.encoders.imperfections import PanelErrors
@@ -136,8 +137,11 @@ class FitSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     """Random changes of the training images."""
     panel_errors: PanelErrors = PanelErrors()
     """How the panel errs in training."""
-    snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | None = 40.0
-    """Signal-to-noise ratio of a measurement [dB]; None for no noise."""
+    snr_db: (
+        Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | Literal["photons"] | None
+    ) = 40.0
+    """Signal-to-noise ratio of a measurement [dB]; None for no noise, ``photons`` for that of an
+    exposure at full well, see :func:`.photon_snr_db`."""
     tolerance: Tolerance = 3e-3
     """Relative L2 error that the light is planned to, at the embedding: a third of the noise at
     40 dB."""
@@ -187,6 +191,17 @@ class FitSettings(BaseModel, frozen=True, extra="forbid", strict=True):
         # What is in the file counts, not where it lies.
         chosen = self.model_copy(update={"psf": None}).model_dump_json()
         return hashlib.sha256(f"{chosen} {files} torch {torch.__version__}".encode()).hexdigest()
+
+    def noise_db(self, camera: Camera, *, colour: bool) -> float | None:
+        """Return the signal-to-noise ratio in numbers [dB]; None for no noise.
+
+        Args:
+            camera: camera of the fit.
+            colour: True for images in colour.
+        """
+        if self.snr_db != "photons":
+            return self.snr_db
+        return photon_snr_db(camera, parse_embedding(self.embedding), colour=colour)
 
     @property
     def psf_file(self) -> PsfFile | None:

@@ -50,10 +50,11 @@ def make_model(settings: FitSettings, source: Source, camera: Camera) -> Lensles
         errors=settings.panel_errors,
         pinhole=settings.mask_start == "pinhole",
     )
+    snr_db = settings.noise_db(camera, colour=source.colour)
     estimate: SceneEstimate | None = None
     classes = len(source.labels)
     if reads_scenes(settings.classifier) and not setup.finer:
-        estimate = SceneEstimate(encoder, settings.snr_db, settings.rank, settings.pooling)
+        estimate = SceneEstimate(encoder, snr_db, settings.rank, settings.pooling)
     task = Task(
         channels=setup.channels,
         rows=embedding.rows,
@@ -81,7 +82,7 @@ def make_model(settings: FitSettings, source: Source, camera: Camera) -> Lensles
         return LenslessClassifier(
             encoder,
             layers,
-            settings.snr_db,
+            snr_db,
             change=change,
             mixed_precision=settings.precision == "mixed",
             whitened=settings.normalisation == "white",
@@ -146,13 +147,14 @@ def make_fresh_camera(
         colour: True for images in colour.
     """
     shown, fresh = _fresh_change(settings, camera, image).scene, fresh_masks(settings)
-    require(settings.snr_db is not None, "a decoder expects noise: give snr_db a number")
+    snr_db = settings.noise_db(camera, colour=colour)
+    require(snr_db is not None, "a decoder expects noise: give snr_db a number")
     frame = SceneFrame(
         camera,
         pooled(shown, settings.pooling),
         parse_embedding(settings.embedding),
         statistics,
-        MeasurementNoise(settings.snr_db or 0.0, fresh.model_error),
+        MeasurementNoise(snr_db or 0.0, fresh.model_error),
     )
     source: MaskDistribution | LearnedRange
     if fresh.spread is None:

@@ -1,17 +1,18 @@
 """Labels of picture files, as a simulated camera with a bundle tells them."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from pydantic import JsonValue
 from torch import Tensor
 
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Precision
 from veilcam_optics.pictures import KINDS, PictureError, as_scene, read_picture
+from veilcam_optics.sensor.readout import photon_snr_db
 from veilcam_training.bundle import Bundle, BundleError, Network, classifier_inputs
 from veilcam_training.data.folders import pictures_below, shown
 from veilcam_training.encoders.base import FixedEncoder, Setup
@@ -105,7 +106,8 @@ def _snr_db(bundle: Bundle) -> float:
     """Return the signal-to-noise ratio of the fit, as far as the bundle records it [dB]."""
     if bundle.fresh is not None:
         return bundle.fresh.noise.snr_db
-    found: JsonValue = dict(bundle.provenance)
-    for name in ("settings", "snr_db"):
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return float(found) if isinstance(found, int | float) else SNR_DB
+    settings = bundle.provenance.get("settings")
+    found = settings.get("snr_db", SNR_DB) if isinstance(settings, Mapping) else SNR_DB
+    if found == "photons":
+        return photon_snr_db(bundle.camera, bundle.embedding, colour=bundle.channels == 3)
+    return float(found) if isinstance(found, int | float) else math.inf
