@@ -142,7 +142,7 @@ def same(one: Bundle, other: Bundle) -> bool:
         np.array_equal(first.levels, second.levels)
         and first.weights.keys() == second.weights.keys()
         and all(np.array_equal(first.weights[name], second.weights[name]) for name in first.weights)
-        and first.accuracy == second.accuracy
+        and one.accuracy == other.accuracy
         and one.hiding == other.hiding
     )
 
@@ -168,8 +168,9 @@ def shapes(
             "folder_commands": 3,
             "predict_agreement": agreement(out / BUNDLE, shown, labels),
         }
-        for picture in PICTURES if pictures is not None else ():
-            shutil.copyfile(out / f"{picture}.png", pictures / f"own-pictures-{picture}.png")
+        if pictures is not None:
+            for picture in PICTURES:
+                shutil.copyfile(out / f"{picture}.png", pictures / f"own-pictures-{picture}.png")
     print(values)
     record(figures, values)
 
@@ -199,7 +200,7 @@ def photographs(
         labels = answers(whole / BUNDLE, shown, place)
         values = {
             "budget_kept_ratio": seconds / parse_budget(budget),
-            "budget_accuracy": 100 * one.pairs[0].accuracy.value,
+            "photographs_accuracy": right(shown, labels),
             "resume_identical": float(kills == len(MOMENTS) and same(one, other)),
             "photographs_agreement": agreement(whole / BUNDLE, shown, labels),
         }

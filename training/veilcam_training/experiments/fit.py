@@ -314,7 +314,7 @@ def run_fresh(
         source: the data set.
         camera: the device.
         masks: number of masks to test on; by default ``TEST_MASKS``.
-        budget: as of :func:`run_fit`.
+        budget: processor time of the fit, see :func:`run_fit`.
         device: device that computes.
         work: folder to leave statistics and checkpoints in; what is in it is taken up again.
         callbacks: called after every step and epoch.
