@@ -60,6 +60,9 @@ def command(
     seed: Annotated[int, typer.Option(min=0, help="The first of them.")] = 0,
     recipe: Annotated[str, typer.Option(help="By name, as of fit.")] = "default",
     epochs: Annotated[int | None, typer.Option(help="Instead of the recipe's.")] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="photons: of an exposure at full well; else 40 dB.")
+    ] = None,
     psf: Annotated[
         list[str] | None,
         typer.Option(
@@ -113,9 +116,11 @@ def command(
             any(each.row.encoder == encoder for each in places),
             f"--psf is of {encoder}, which --encoders leaves out: drop either",
         )
+    asked = {"recipe": recipe, "epochs": epochs, "snr_db": noise}
+    chosen = {name: value for name, value in asked.items() if value is not None}
     # Absolute paths, here and below: a worker may stand elsewhere.
     cells = [
-        Cell(_settings(each, seed + repeat, psfs, recipe, epochs))
+        Cell(_settings(each, seed + repeat, psfs, chosen))
         for repeat in range(seeds)
         for each in places
     ]
@@ -182,21 +187,24 @@ def _psfs(given: Sequence[str]) -> dict[str, Path]:
 
 
 def _settings(
-    place: Place, seed: int, psfs: Mapping[str, Path], recipe: str, epochs: int | None
+    place: Place, seed: int, psfs: Mapping[str, Path], chosen: Mapping[str, object]
 ) -> FitSettings:
-    # As the paper's masks, which have no bound.
+    row = place.row
     values: dict[str, object] = {
-        **place.row._asdict(),
+        "classifier": row.classifier,
         **place.column._asdict(),
         "seed": seed,
-        "recipe": recipe,
-        "hidden": False,
+        "hidden": row.encoder == "hidden",
+        **chosen,
     }
-    if epochs is not None:
-        values["epochs"] = epochs
-    if place.row.encoder in psfs:
-        values["psf"] = psfs[place.row.encoder]
-    return load_settings(None, values)
+    if row.encoder == "fresh":
+        values["fresh"] = {}
+    else:
+        encoder = "learned" if row.encoder == "hidden" else row.encoder
+        values |= {"encoder": encoder, "binning": row.binning}
+    if row.encoder in psfs:
+        values["psf"] = psfs[row.encoder]
+    return load_settings(None, values, colour=place.column.data == "cifar10")
 
 
 app = typer.Typer(pretty_exceptions_enable=False)

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 from veilcam_training.config.settings import FitSettings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import require
-from veilcam_training.models.classifiers import SceneTask, Task, make_layers
+from veilcam_training.models.classifiers import SceneTask, Task, make_layers, reads_scenes
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,33 @@ def load_paper() -> Paper:
     return Paper(content["source"], content["accuracy"])
 
 
+CAMERAS = (*ENCODERS, "hidden", "fresh")
+"""Encoders, of which ``learned`` has no bound, as the paper's; ``hidden`` is learned within the
+bound of a fit, and ``fresh`` reads behind masks that are drawn anew."""
+SCENE_CAMERAS: Mapping[str, str] = {
+    "coded_aperture": "coded",
+    "fixed_measured": "measured",
+    "fixed_simulated": "fixed",
+    "learned": "open",
+    "hidden": "learned",
+}
+"""Names of cameras in the figures of scene classifiers, where they are others."""
+HEADLINES: Mapping[str, str] = {
+    "faces-smiling_open_24x32@0.1": "faces_smiling_fill",
+    "faces-gender_open_24x32@0.1": "faces_gender_fill",
+    "faces-glasses_open_24x32@0.1": "faces_glasses_fill",
+    "fashion_learned_24x32": "fashion_24x32",
+    "mnist_fresh_24x32": "fresh_mnist_24x32",
+    "mnist_fresh_12x16": "fresh_mnist_12x16",
+    "mnist_fresh_3x4": "fresh_mnist_3x4",
+}
+"""Figures of scene classifiers with a name of their own."""
+PAPER_HEADS: Mapping[str, str] = {"mnist": "FC800", "fashion": "FC800", "cifar10": "VGG11"}
+"""The paper's best classifier of each data set, which a scene classifier stands beside."""
+
+
 class Row(NamedTuple):
-    """What one row of a table has in common."""
+    """Classifier, camera (see :data:`CAMERAS`) and binning of one row of a table."""
 
     classifier: str
     encoder: str
@@ -55,8 +80,13 @@ class Place:
     @classmethod
     def of(cls, settings: FitSettings) -> Self:
         """Where a fit with ``settings`` stands."""
+        camera = settings.encoder
+        if settings.fresh is not None:
+            camera = "fresh"
+        elif camera == "learned" and settings.hidden:
+            camera = "hidden"
         return cls(
-            Row(settings.classifier, settings.encoder, settings.binning),
+            Row(settings.classifier, camera, settings.binning),
             Column(settings.data, settings.change, settings.embedding),
         )
 
@@ -76,6 +106,9 @@ class Place:
     def figure(self) -> str:
         """The name of its test accuracy in a record of figures."""
         row, (data, change, embedding) = self.row, self.column
+        if reads_scenes(row.classifier):
+            name = f"{data}_{SCENE_CAMERAS.get(row.encoder, row.encoder)}_{embedding}"
+            return HEADLINES.get(name, name) if change == "none" else f"{name}_{change}"
         classifier = row.classifier.lower() if data == "fashion" else row.classifier
         name = f"{data}_{classifier}_{row.encoder}_{embedding}"
         if change != "none":
@@ -84,8 +117,21 @@ class Place:
 
     @property
     def paper(self) -> float | None:
-        """Test accuracy in the paper [percent], or None where it has none."""
-        return load_paper().accuracy.get(self.title)
+        """Test accuracy in the paper [percent], or None where it has none.
+
+        A scene classifier stands beside the paper's best, a bounded mask beside its learned one,
+        and any fill beside its whole pixels.
+        """
+        row, column = self.row, self.column
+        classifier = row.classifier
+        if reads_scenes(classifier):
+            classifier = PAPER_HEADS.get(column.data, classifier)
+        camera = "learned" if row.encoder == "hidden" else row.encoder
+        size = column.embedding.partition("@")[0]
+        place = Place(
+            row._replace(classifier=classifier, encoder=camera), column._replace(embedding=size)
+        )
+        return load_paper().accuracy.get(place.title)
 
 
 @dataclass(frozen=True)
@@ -128,7 +174,8 @@ class Table:
     """Every combination of its parts.
 
     ``classifiers`` are the paper's; others may be asked for. Of its own accord it has the area
-    binning for every encoder, and beside that of a learned mask the paper's sampling.
+    binning for every encoder but a measured one, and beside that of a learned mask the paper's
+    sampling. Other cameras, and embeddings with a fill, are asked for by name.
     """
 
     name: str
@@ -137,7 +184,7 @@ class Table:
     classifiers: tuple[str, ...]
     embeddings: tuple[str, ...]
     changes: tuple[str, ...] = ("none",)
-    encoders: tuple[str, ...] = tuple(ENCODERS)
+    encoders: tuple[str, ...] = CAMERAS
     binnings: tuple[str, ...] = BINNINGS
 
     def places(self, part: Part = Part(), *, psf: bool = False) -> tuple[Place, ...]:
@@ -152,8 +199,8 @@ class Table:
             TrainingError: a part that the table does not have.
         """
         encoders = part.encoders
-        if encoders is None and not psf:
-            encoders = [name for name in self.encoders if name != "fixed_measured"]
+        if encoders is None:
+            encoders = [name for name in ENCODERS if psf or name != "fixed_measured"]
         chosen = replace(part, encoders=encoders)
         wanted = {
             field.name: self._choose(field.name, getattr(chosen, field.name))
@@ -170,14 +217,15 @@ class Table:
             wanted["binnings"],
         ):
             sampled = binning == "point"
-            if sampled and encoder == "digital":
-                continue  # there is no sensor to sample
+            if sampled and encoder in ("digital", "hidden", "fresh"):
+                continue  # there is no sensor to sample, or a device that averages
             if sampled and part.binnings is None and encoder != "learned":
                 continue
             places.append(Place(Row(classifier, encoder, binning), Column(data, change, embedding)))
         require(
             len(places) > 0,
-            f"table {self.name!r} has no such cells: digital has no binning 'point'",
+            f"table {self.name!r} has no such cells: binning 'point' is for cameras with a sensor, "
+            "and for no bound",
         )
         return tuple(places)
 
@@ -186,8 +234,7 @@ class Table:
         return (
             settings.data in self.datasets
             and settings.change in self.changes
-            and settings.encoder in self.encoders
-            and settings.embedding in self.embeddings
+            and settings.embedding.partition("@")[0] in self.embeddings
         )
 
     def rows(self, finished: Sequence[Row]) -> Iterator[Row]:
@@ -195,12 +242,14 @@ class Table:
         classifiers = dict.fromkeys((*self.classifiers, *(row.classifier for row in finished)))
         for row in starmap(Row, product(classifiers, self.encoders, self.binnings)):
             own = row.classifier in self.classifiers and row.binning == "area"
+            own = own and row.encoder in ENCODERS
             if own or row in finished:
                 yield row
 
-    def columns(self) -> tuple[Column, ...]:
-        """The table's columns in order."""
-        return tuple(starmap(Column, product(self.datasets, self.changes, self.embeddings)))
+    def columns(self, finished: Sequence[Column] = ()) -> tuple[Column, ...]:
+        """The table's columns in order, and then those of ``finished`` with a fill."""
+        own = starmap(Column, product(self.datasets, self.changes, self.embeddings))
+        return tuple(dict.fromkeys((*own, *finished)))
 
     def column_title(self, column: Column) -> str:
         """That in a column's name which not all columns share, e.g. ``24x32``."""
@@ -214,7 +263,7 @@ class Table:
             return known
         for name in wanted:
             require(
-                name in known,
+                (name.partition("@")[0] if kind == "embeddings" else name) in known,
                 f"table {self.name!r} has no {name!r} among its {kind}: "
                 f"use one or more of {','.join(known)}",
             )

@@ -29,6 +29,7 @@ from benchmarks.paper.style import (
     encoder_title,
     tidy,
 )
+from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.experiments.card_page import bare, panels_of
 
 POINT_EDGE, EDGE = "#d1495b", "#333333"
@@ -149,7 +150,7 @@ def _area(embedding: str) -> float:
 
 
 def _pixels(embedding: str) -> int:
-    return math.prod(map(int, embedding.split("x")))
+    return Embedding.parse(embedding).size
 
 
 def _legend(entries: list[Entry]) -> list[Line2D]:
@@ -231,10 +232,12 @@ def draw_psfs(summary: Summary, work: Path) -> Figure | None:
     pictures: dict[str, Pixels] = {}
     for entry in summary.finished():
         row, column = entry.place.row, entry.place.column
-        if row.encoder == "digital" or (row.encoder != "learned" and row.binning == "point"):
+        if row.encoder in ("digital", "fresh") or (
+            row.encoder != "learned" and row.binning == "point"
+        ):
             continue
         title = encoder_title(row)
-        if row.encoder == "learned":
+        if row.encoder in ("learned", "hidden"):
             title += f"\n{row.classifier}, {summary.table.column_title(column)}"
         if title not in pictures:
             psf = load_pictures(_pictures(entry, work)).psf
@@ -250,7 +253,13 @@ def draw_embeddings(summary: Summary, work: Path) -> Figure | None:
     entries = summary.finished()
     columns = summary.finished_columns(entries)
     classifier = entries[0].place.row.classifier
-    same = [entry for entry in entries if entry.place.row.classifier == classifier]
+    same = [
+        entry
+        for entry in entries
+        if entry.place.row.classifier == classifier and entry.place.row.encoder != "fresh"
+    ]
+    if not same:
+        return None
     figure, panels = _matrix(summary, same, columns, (1.7, 1.5), lead=("scene",))
     for entry, axes, first in panels:
         pictures = load_pictures(_pictures(entry, work))

@@ -1,7 +1,7 @@
 """``report.html`` and ``report.md``: a table beside the paper's, with its pictures."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
@@ -37,6 +37,7 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
     )
     environment.filters["signed"] = lambda value: f"{value:+.1f}".replace("-", "−")
     environment.filters["encoder"] = encoder_title
+    environment.filters["shares"] = _shares
     context = {
         "table": table,
         "summary": summary,
@@ -52,6 +53,12 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
     for template, pictures in (("report.html", inlined), ("report.md", charts)):
         text = environment.get_template(f"{template}.jinja").render(context, pictures=pictures)
         (out / template).write_text(text)
+
+
+def _shares(hiding: Mapping[str, float]) -> str:
+    """Return percents of a mask, each with that of random masks in brackets."""
+    names = ("seen", "recognised", "read")
+    return ", ".join(f"{100 * hiding[n]:.0f} ({100 * hiding[f'random_{n}']:.0f})" for n in names)
 
 
 def _inline(path: Path) -> str:

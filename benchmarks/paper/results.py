@@ -1,5 +1,6 @@
 """Finished cells of a table: their files, their places, and their test accuracies in a record."""
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -22,7 +23,7 @@ from veilcam_training.errors import TrainingError, require
 RESULT = "result.json"
 PICTURES = "pictures.npz"
 BUNDLE = "pair.veilcam"
-CHECKPOINT = "checkpoint"
+CHECKPOINTS = "checkpoints"
 SEEDS_FOR_A_VERDICT = 3
 _LEVEL = 0.95
 _ROUNDING = 0.05
@@ -55,6 +56,8 @@ class CellResult(BaseModel, frozen=True, extra="forbid"):
     epochs: tuple[EpochRecord, ...]
     confusion: tuple[tuple[int, ...], ...]
     """Of the test set: a row for each true class, a column for each predicted one."""
+    hiding: dict[str, float] | None = None
+    """Shares that attackers without the key get right, by the names of :class:`.Hiding`."""
     seconds: float
     """All epochs together."""
     clock: Clock = "elapsed"
@@ -78,10 +81,10 @@ class CellResult(BaseModel, frozen=True, extra="forbid"):
 
 @dataclass(frozen=True)
 class Finished:
-    """All of a finished cell; a camera without a panel has no bundle."""
+    """All of a finished cell: no bundle without a panel, and no pictures of fresh masks."""
 
     result: CellResult
-    pictures: Pictures
+    pictures: Pictures | None
     bundle: Bundle | None
 
 
@@ -91,9 +94,10 @@ def save_finished(work: Path, finished: Finished) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if finished.bundle is not None:
         write_bundle(folder / BUNDLE, finished.bundle)
-    save_pictures(folder / PICTURES, finished.pictures)
+    if finished.pictures is not None:
+        save_pictures(folder / PICTURES, finished.pictures)
     write_whole(folder / RESULT, f"{finished.result.model_dump_json(indent=1)}\n".encode())
-    (folder / CHECKPOINT).unlink(missing_ok=True)
+    shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
 
 
 def load_result(work: Path, cell: Cell, fingerprint: str) -> CellResult | None:
@@ -230,7 +234,7 @@ class Summary:
     def __init__(self, table: Table, results: Sequence[CellResult]) -> None:
         self.table = table
         places = by_place(results)
-        self.columns = table.columns()
+        self.columns = table.columns([place.column for place in places])
         self.rows = tuple(table.rows([place.row for place in places]))
         self._entries = [
             [
@@ -276,8 +280,8 @@ def record_cells(path: Path, results: Sequence[CellResult]) -> None:
         learned = [
             group
             for group in by_name.values()
-            if (settings := group[0].settings).change == change
-            and (settings.encoder, settings.binning) == ("learned", "area")
+            if group[0].settings.change == change
+            and group[0].cell.place.row[1:] == ("learned", "area")
         ]
         if learned:
             by_name[f"robust_{change}"] = max(learned, key=_validation_accuracy)

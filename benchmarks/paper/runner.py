@@ -12,7 +12,7 @@ from benchmarks.figures import Origin
 from benchmarks.paper.grid import Cell
 from benchmarks.paper.pictures import make_pictures
 from benchmarks.paper.results import (
-    CHECKPOINT,
+    CHECKPOINTS,
     CellResult,
     EpochRecord,
     Finished,
@@ -24,11 +24,12 @@ from benchmarks.paper.stopwatch import Stopwatch, time_label
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.base import ReadOnce
-from veilcam_training.encoders import Mask
 from veilcam_training.experiments.executors import Executor
-from veilcam_training.experiments.fit import run_fit
-from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.experiments.keyring import fit_bundle
 from veilcam_training.experiments.records import provenance
+
+SHARES = ("seen", "random_seen", "recognised", "random_recognised", "read", "random_read")
+"""Figures of :class:`.Hiding` that stand beside an accuracy."""
 
 
 def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
@@ -82,19 +83,20 @@ class CellRunner:
         """
         if self.until is not None and time.time() >= self.until:
             return None
-        source, camera, settings = self.source(cell.settings.data), Camera(), cell.settings
+        source, settings = self.source(cell.settings.data), cell.settings
         watch = Stopwatch(self.device)
-        fitted = run_fit(
+        fitted, bundle = fit_bundle(
             settings,
             source,
-            camera,
+            Camera(),
             device=self.device,
-            checkpoint=cell_folder(self.work, cell) / CHECKPOINT,
+            work=cell_folder(self.work, cell) / CHECKPOINTS,
             callbacks=[watch],
         )
         model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)
         counts = confusion(source.test().labels, fitted.logits.argmax(1), len(source.labels))
+        hiding = None if bundle is None else bundle.hiding
         result = CellResult(
             settings=settings,
             fingerprint=settings.fingerprint(source),
@@ -107,6 +109,7 @@ class CellRunner:
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
             confusion=tuple(map(tuple, counts.tolist())),
+            hiding=None if hiding is None else {name: getattr(hiding, name) for name in SHARES},
             seconds=seconds,
             clock=clock,
             inference_seconds=time_label(model.reader(), model.encoder.setup.outputs),
@@ -114,13 +117,10 @@ class CellRunner:
             origin=Origin.here(),
             provenance=provenance(settings.model_dump(mode="json"), source.digests()),
         )
-        # A device averages over its pixels: a point binning is for comparison alone.
-        on_device = isinstance(model.encoder, Mask) and settings.binning == "area"
-        return Finished(
-            result,
-            make_pictures(model, settings, split(source.training()).validation),
-            as_bundle([fitted], source, camera) if on_device else None,
-        )
+        pictures = None
+        if settings.fresh is None:
+            pictures = make_pictures(model, settings, split(source.training()).validation)
+        return Finished(result, pictures, bundle)
 
 
 def run_cells(

@@ -159,7 +159,7 @@ def _best(settings: FitSettings) -> Changes:
         recipes = BEST_LINEAR if linear else BEST_HIDDEN
     else:
         recipes = BEST_LINEAR_FIXED if linear else BEST_HIDDEN_FIXED
-    return recipes.get(settings.embedding, recipes["24x32"])
+    return recipes.get(_size(settings), recipes["24x32"])
 
 
 def _best_of_changed(settings: FitSettings) -> Changes:
@@ -225,10 +225,10 @@ def _cifar_padding(settings: FitSettings) -> float:
     """Return the padding as a share of the image's sides."""
     kind = "learned" if _learned(settings) else "fixed"
     sizes = {"27x36": 27, "13x17": 13, "6x8": 6, "3x4": 3}
-    if settings.embedding not in sizes:
+    if _size(settings) not in sizes:
         return 0.0
     padding = CIFAR_PADDING.get(settings.encoder, CIFAR_PADDING[kind])
-    return padding[list(sizes).index(settings.embedding)] / sizes[settings.embedding]
+    return padding[list(sizes).index(_size(settings))] / sizes[_size(settings)]
 
 
 RECIPES: Mapping[str, Callable[[FitSettings], Changes]] = {
@@ -250,7 +250,12 @@ FRESH: Mapping[str, Changes] = {
 def _fresh(settings: FitSettings, masks: FreshMasks) -> FreshMasks:
     if masks.placement == "anywhere":
         return masks.model_copy(update={"misalignment": Misalignment(panels=4)})
-    return masks.model_copy(update={**FRESH.get(f"{settings.data} {settings.embedding}", {})})
+    return masks.model_copy(update={**FRESH.get(f"{settings.data} {_size(settings)}", {})})
+
+
+def _size(settings: FitSettings) -> str:
+    """Return rows and columns of the embedding, of any fill."""
+    return settings.embedding.partition("@")[0]
 
 
 def _learned(settings: FitSettings) -> bool:
