@@ -57,7 +57,7 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
 
 def _shares(hiding: Mapping[str, float]) -> str:
     """Return percents of a mask, each with that of random masks in brackets."""
-    names = ("seen", "recognised", "read")
+    names = [name for name in ("seen", "recognised", "read") if name in hiding]
     return ", ".join(f"{100 * hiding[n]:.0f} ({100 * hiding[f'random_{n}']:.0f})" for n in names)
 
 

@@ -22,6 +22,7 @@ from benchmarks.paper.results import (
 )
 from benchmarks.paper.stopwatch import Stopwatch, time_label
 from veilcam_optics.camera.geometry import Camera
+from veilcam_training.bundle import Hiding
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.experiments.executors import Executor
@@ -109,7 +110,7 @@ class CellRunner:
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
             confusion=tuple(map(tuple, counts.tolist())),
-            hiding=None if hiding is None else {name: getattr(hiding, name) for name in SHARES},
+            hiding=None if hiding is None else _shares(hiding),
             seconds=seconds,
             clock=clock,
             inference_seconds=time_label(model.reader(), model.encoder.setup.outputs),
@@ -121,6 +122,11 @@ class CellRunner:
         if settings.fresh is None:
             pictures = make_pictures(model, settings, split(source.training()).validation)
         return Finished(result, pictures, bundle)
+
+
+def _shares(hiding: Hiding) -> dict[str, float]:
+    found = {name: getattr(hiding, name) for name in SHARES}
+    return {name: share for name, share in found.items() if share is not None}
 
 
 def run_cells(
