@@ -20,7 +20,7 @@ from benchmarks.paper.results import (
     load_result,
     save_finished,
 )
-from benchmarks.paper.stopwatch import Stopwatch, time_label
+from benchmarks.paper.stopwatch import EpochLines, Stopwatch, time_label
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import Hiding
 from veilcam_training.data import Source, open_source, split
@@ -92,7 +92,7 @@ class CellRunner:
             Camera(),
             device=self.device,
             work=cell_folder(self.work, cell) / CHECKPOINTS,
-            callbacks=[watch],
+            callbacks=[watch, EpochLines(cell.name)],
         )
         model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)

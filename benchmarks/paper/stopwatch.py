@@ -11,6 +11,7 @@ from torch.utils.benchmark import Timer
 from veilcam_training.models.whitening import plain
 from veilcam_training.trainer.callbacks import Callback, Epoch
 
+
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
 
@@ -53,6 +54,25 @@ class Stopwatch(Callback):
 
     def _now(self) -> float:
         return time.process_time() if self._clock == "processor" else time.monotonic()
+
+
+class EpochLines(Callback):
+    """A line for every epoch, for runs whose output goes to a file.
+
+    Args:
+        name: name of the cell.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Print the line."""
+        print(
+            f"{self._name}  epoch {epoch.number + 1}  loss {epoch.loss:.4f}  "
+            f"validation {100 * epoch.validation_accuracy:.2f} %  {epoch.seconds:.0f} s",
+            flush=True,
+        )
 
 
 @torch.inference_mode()

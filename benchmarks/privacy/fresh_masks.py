@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.training.cells import Log
+from benchmarks.paper.stopwatch import EpochLines
 from rich.console import Console
 from torch import Tensor
 
@@ -87,7 +87,7 @@ def accuracy(
             camera,
             masks=masks,
             work=work,
-            callbacks=[FitProgress(progress, task), Log()],
+            callbacks=[FitProgress(progress, task), EpochLines(task)],
         )
     percent = 100 * result.accuracy.value
     print(
@@ -206,7 +206,7 @@ def keyless(
         model,
         parts,
         settings,
-        callbacks=[Log()],
+        callbacks=[EpochLines(form)],
     )
     percent = 100 * result.best.validation_accuracy
     print(f"{form}, exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")

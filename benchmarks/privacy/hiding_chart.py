@@ -24,7 +24,7 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.paper.style import tidy
 from benchmarks.privacy.hiding import SIZES
-from benchmarks.training.cells import Log
+from benchmarks.paper.stopwatch import EpochLines
 from matplotlib.figure import Figure
 
 from veilcam_optics.camera.geometry import Camera
@@ -80,12 +80,12 @@ class Bench:
         """Percent read with the key and without it, and seen."""
         if kind == "fresh":
             fresh = load_settings(None, self.asked | {"fresh": {}})
-            found = run_fresh(fresh, self.source, self.camera, callbacks=[Log()])
+            found = run_fresh(fresh, self.source, self.camera, callbacks=[EpochLines(kind)])
             key, read, seen = found.accuracy.value, *self._fresh(found.camera)
         else:
             settings = load_settings(None, self.asked | {"encoder": KINDS[kind][0]})
             with patch.dict(ENCODERS, {"pinhole": open_pinhole}):
-                fitted = run_fit(settings, self.source, self.camera, callbacks=[Log()])
+                fitted = run_fit(settings, self.source, self.camera, callbacks=[EpochLines(kind)])
             key = fitted.accuracy.value
             read, seen = self._attacked(fitted.fit.model.encoder, key)
         values = {"key": key, "keyless": read, "seen": seen}
