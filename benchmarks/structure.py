@@ -76,7 +76,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Count what each job enters."""
-    values = {}
+    values: dict[str, float] = {}
     for name in jobs:
         with TemporaryDirectory() as folder:
             run = JOBS[name](Path(folder))

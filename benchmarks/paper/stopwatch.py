@@ -11,7 +11,6 @@ from torch.utils.benchmark import Timer
 from veilcam_training.models.whitening import plain
 from veilcam_training.trainer.callbacks import Callback, Epoch
 
-
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
 

@@ -22,9 +22,9 @@ import numpy.typing as npt
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.paper.stopwatch import EpochLines
 from benchmarks.paper.style import tidy
 from benchmarks.privacy.hiding import SIZES
-from benchmarks.paper.stopwatch import EpochLines
 from matplotlib.figure import Figure
 
 from veilcam_optics.camera.geometry import Camera
