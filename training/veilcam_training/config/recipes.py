@@ -146,7 +146,7 @@ def _best(settings: FitSettings) -> Changes:
     tried at length.
 
     Few pixels need many steps, which cost little there. Behind many, a classifier learns its images
-    by heart unless they are jittered. Behind twelve, mask and scene classifier are learned together.
+    by heart unless they are jittered. Behind twelve, mask and scene classifier learn together.
     """
     if reads_scenes(settings.classifier):
         together = _learned(settings) and _size(settings) == "3x4" and settings.fresh is None
