@@ -27,6 +27,7 @@ from typer.testing import CliRunner, Result
 
 from veilcam_optics.simulation.check import Check
 from veilcam_training.bundle import read_bundle
+from veilcam_training.config.files import load_settings
 from veilcam_training.config.settings import FitSettings
 
 Run = Callable[..., Result]
@@ -62,7 +63,7 @@ def test_quick_table_is_run_once_and_reported(
     assert len(results) == 4
     for result in results:
         assert int(np.trace(result.confusion)) / 100 == result.test_accuracy
-        assert not (work / result.cell.name / "checkpoint").exists()
+        assert not (work / result.cell.name / "checkpoints").exists()
     # A mask that a device could show comes as a bundle.
     assert {path.parent.name for path in work.glob("*/pair.veilcam")} == {
         "mnist_LR_learned_3x4",
@@ -83,7 +84,7 @@ def test_quick_table_is_run_once_and_reported(
     def refuse(*arguments: Any, **more: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(run_module, "run_fit", refuse)
+    monkeypatch.setattr(run_module, "fit_bundle", refuse)
     figures.unlink()
     assert run(*options, "--figures", figures).exit_code == 0
     assert json.loads(figures.read_text()) == record
@@ -150,3 +151,32 @@ def test_verdict_is_decided_by_seeds(
     (entry,) = Summary(find_table("mnist"), results).finished()
     assert entry.paper == 95.5
     assert entry.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("settings", "figure", "paper"),
+    [
+        ({"data": "cifar10", "classifier": "Scene32", "embedding": "27x36"}, "learned_27x36", 63.0),
+        (
+            {"data": "cifar10", "classifier": "Scene32", "embedding": "6x8", "hidden": False},
+            "open_6x8",
+            56.9,
+        ),
+        (
+            {"data": "cifar10", "classifier": "Scene32", "embedding": "3x4", "fresh": {}},
+            "fresh_3x4",
+            None,
+        ),
+        (
+            {"data": "cifar10", "classifier": "Scene32", "embedding": "3x4", "encoder": "lens"},
+            "lens_3x4",
+            46.5,
+        ),
+    ],
+)
+def test_scene_cell_stands_beside_the_papers_best(
+    settings: dict[str, Any], figure: str, paper: float | None
+) -> None:
+    place = Cell(load_settings(None, settings, colour=True)).place
+    assert place.figure == f"cifar10_{figure}"
+    assert place.paper == paper
