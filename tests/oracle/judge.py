@@ -235,7 +235,8 @@ def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
 
 
 def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float = LIMIT) -> Result:
-    result = Result(seed, job.tolerance, job.effects, job.unaffordable)
+    effects = (*job.effects, *(("fill",) if job.embedding.fill < 1 else ()))
+    result = Result(seed, job.tolerance, effects, job.unaffordable)
     phase, start = "plan", time.process_time()
     try:
         with _limit(limit):

@@ -34,6 +34,7 @@ def figures_of(results: Sequence[Result]) -> dict[str, float]:
     found = {
         "oracle_jobs": len(results),
         "oracle_honest_fraction": _share(result.honest for result in judged),
+        "fill_oracle_honest": _share(each.honest for each in judged if "fill" in each.effects),
         "oracle_worst_reached_ratio": max(reached, default=math.nan),
         "oracle_sharpness_median": statistics.median(sharp) if sharp else math.nan,
         "oracle_sharpness_95": float(np.quantile(sharp, 0.95)) if sharp else math.nan,
