@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_training.hiding.pinholes import Kernel, pinhole_kernels
@@ -95,24 +96,35 @@ def _by_evidence(
         for size, finest in zip(embedding.shape, _FINEST.shape, strict=True)
     )
     coarse = (down @ values.reshape(-1, *embedding.shape) @ across.T).reshape(len(values), -1)
+    coarse = coarse.astype(np.float64)
     scores = []
     for scene in scenes:
         shown = np.concatenate([_pictures(y @ down.T, x @ across.T, scene) for _, y, x in kernels])
-        total = shown.sum(0).astype(np.float64)
-        gram = (shown.T @ shown).astype(np.float64)
-        likelihoods = [
-            _log_likelihood(coarse, mean * total, variance * gram) for mean, variance in _POWERS
-        ]
-        scores.append(np.max(likelihoods, axis=0))
+        gram = torch.from_numpy(shown.T @ shown).double()
+        powers, modes = torch.linalg.eigh(gram)
+        likelihoods = _log_likelihoods(
+            coarse @ modes.numpy(), shown.sum(0) @ modes.numpy(), powers.clamp_min(0).numpy()
+        )
+        scores.append(likelihoods.max(1))
     return np.stack(scores, axis=1)
 
 
-def _log_likelihood(values: Values, mean: Values, covariance: Values) -> Values:
-    """Log likelihoods of measurements (count, pixels) under a Gaussian and noise, (count,)."""
-    noise = _ERROR**2 * (np.square(mean).mean() + covariance.diagonal().mean())
-    factor = np.linalg.cholesky(covariance + noise * np.eye(len(mean)))
-    off = np.linalg.solve(factor, (values - mean).T)
-    found: Values = -np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum()
+def _log_likelihoods(values: Values, total: Values, powers: Values) -> Values:
+    """Log likelihoods under Gaussians of all weights and noise, (measurements, kinds of weights).
+
+    Args:
+        values: measurements in the modes of the pictures' Gram matrix, (count, modes).
+        total: sum of the pictures in them.
+        powers: eigenvalues of the modes.
+    """
+    means, variances = np.array(_POWERS).T[:, :, None]
+    spread = variances * powers
+    noise = _ERROR**2 * (np.square(means * total) + spread).mean(1, keepdims=True)
+    spread += noise
+    # |values - mean|^2 in units of the spread, without an array for each kind.
+    off = np.square(values) @ (1 / spread).T - 2 * values @ (means * total / spread).T
+    off += (np.square(means * total) / spread).sum(1)
+    found: Values = -(off + np.log(spread).sum(1)) / 2
     return found
 
 
