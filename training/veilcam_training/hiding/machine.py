@@ -19,7 +19,7 @@ _POWERS = ((1 / 3, 4 / 45), (0.1, 0.06), (0.03, 0.02))
 """Means and variances of the power that weights let through: uniform ones, sparse, holes."""
 _ERROR = 0.02
 """Relative error of a measurement: noise, and light that interferes."""
-_FINEST = Embedding(12, 16)
+FINEST = Embedding(12, 16)
 """Embedding that evidence is computed at; a finer one is averaged to it."""
 _SMOOTH = 3 / 24
 """Standard deviation of the mean that the spectrum's high-pass subtracts, in sensor heights."""
@@ -36,6 +36,14 @@ def power_spectra(measurements: Values, embedding: Embedding) -> Values:
     """
     power = _power(measurements.reshape(-1, embedding.size), embedding)
     return _logarithms(power).reshape(len(measurements), -1)
+
+
+def averaging(size: int, parts: int) -> Values:
+    """Return the matrix that averages an axis of pixels over equal boxes, (parts, size)."""
+    edges, places = np.arange(parts + 1) * (size / parts), np.arange(size)
+    inside = np.minimum(edges[1:, None], places + 1) - np.maximum(edges[:-1, None], places)
+    matrix: Values = (np.clip(inside, 0, None) * (parts / size)).astype(np.float32)
+    return matrix
 
 
 def recognised(
@@ -92,8 +100,8 @@ def _by_evidence(
 ) -> Values:
     """Log likelihoods under a Gaussian of independent sub-pixel powers, (measurements, scenes)."""
     down, across = (
-        _averaging(size, min(size, finest))
-        for size, finest in zip(embedding.shape, _FINEST.shape, strict=True)
+        averaging(size, min(size, finest))
+        for size, finest in zip(embedding.shape, FINEST.shape, strict=True)
     )
     coarse = (down @ values.reshape(-1, *embedding.shape) @ across.T).reshape(len(values), -1)
     coarse = coarse.astype(np.float64)
@@ -132,14 +140,6 @@ def _pictures(y: Values, x: Values, scene: Values) -> Values:
     """Pictures that the sub-pixels of rows ``y`` and columns ``x`` show, (places, pixels)."""
     shown = (y.transpose(0, 2, 1) @ scene)[:, None] @ x
     return shown.reshape(len(y) * len(x), -1)
-
-
-def _averaging(size: int, parts: int) -> Values:
-    """Matrix that averages neighbouring pixels, (parts, size)."""
-    rows = [
-        np.eye(size, dtype=np.float32)[part].mean(0) for part in np.array_split(range(size), parts)
-    ]
-    return np.array(rows)
 
 
 def _power(values: Values, embedding: Embedding) -> Values:
