@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_training.hiding.pinholes import Kernel, pinhole_kernels
@@ -18,7 +19,7 @@ _POWERS = ((1 / 3, 4 / 45), (0.1, 0.06), (0.03, 0.02))
 """Means and variances of the power that weights let through: uniform ones, sparse, holes."""
 _ERROR = 0.02
 """Relative error of a measurement: noise, and light that interferes."""
-_FINEST = Embedding(12, 16)
+FINEST = Embedding(12, 16)
 """Embedding that evidence is computed at; a finer one is averaged to it."""
 _SMOOTH = 3 / 24
 """Standard deviation of the mean that the spectrum's high-pass subtracts, in sensor heights."""
@@ -35,6 +36,14 @@ def power_spectra(measurements: Values, embedding: Embedding) -> Values:
     """
     power = _power(measurements.reshape(-1, embedding.size), embedding)
     return _logarithms(power).reshape(len(measurements), -1)
+
+
+def averaging(size: int, parts: int) -> Values:
+    """Return the matrix that averages an axis of pixels over equal boxes, (parts, size)."""
+    edges, places = np.arange(parts + 1) * (size / parts), np.arange(size)
+    inside = np.minimum(edges[1:, None], places + 1) - np.maximum(edges[:-1, None], places)
+    matrix: Values = (np.clip(inside, 0, None) * (parts / size)).astype(np.float32)
+    return matrix
 
 
 def recognised(
@@ -91,28 +100,39 @@ def _by_evidence(
 ) -> Values:
     """Log likelihoods under a Gaussian of independent sub-pixel powers, (measurements, scenes)."""
     down, across = (
-        _averaging(size, min(size, finest))
-        for size, finest in zip(embedding.shape, _FINEST.shape, strict=True)
+        averaging(size, min(size, finest))
+        for size, finest in zip(embedding.shape, FINEST.shape, strict=True)
     )
     coarse = (down @ values.reshape(-1, *embedding.shape) @ across.T).reshape(len(values), -1)
+    coarse = coarse.astype(np.float64)
     scores = []
     for scene in scenes:
         shown = np.concatenate([_pictures(y @ down.T, x @ across.T, scene) for _, y, x in kernels])
-        total = shown.sum(0).astype(np.float64)
-        gram = (shown.T @ shown).astype(np.float64)
-        likelihoods = [
-            _log_likelihood(coarse, mean * total, variance * gram) for mean, variance in _POWERS
-        ]
-        scores.append(np.max(likelihoods, axis=0))
+        gram = torch.from_numpy(shown.T @ shown).double()
+        powers, modes = torch.linalg.eigh(gram)
+        likelihoods = _log_likelihoods(
+            coarse @ modes.numpy(), shown.sum(0) @ modes.numpy(), powers.clamp_min(0).numpy()
+        )
+        scores.append(likelihoods.max(1))
     return np.stack(scores, axis=1)
 
 
-def _log_likelihood(values: Values, mean: Values, covariance: Values) -> Values:
-    """Log likelihoods of measurements (count, pixels) under a Gaussian and noise, (count,)."""
-    noise = _ERROR**2 * (np.square(mean).mean() + covariance.diagonal().mean())
-    factor = np.linalg.cholesky(covariance + noise * np.eye(len(mean)))
-    off = np.linalg.solve(factor, (values - mean).T)
-    found: Values = -np.square(off).sum(0) / 2 - np.log(factor.diagonal()).sum()
+def _log_likelihoods(values: Values, total: Values, powers: Values) -> Values:
+    """Log likelihoods under Gaussians of all weights and noise, (measurements, kinds of weights).
+
+    Args:
+        values: measurements in the modes of the pictures' Gram matrix, (count, modes).
+        total: sum of the pictures in them.
+        powers: eigenvalues of the modes.
+    """
+    means, variances = np.array(_POWERS).T[:, :, None]
+    spread = variances * powers
+    noise = _ERROR**2 * (np.square(means * total) + spread).mean(1, keepdims=True)
+    spread += noise
+    # |values - mean|^2 in units of the spread, without an array for each kind.
+    off = np.square(values) @ (1 / spread).T - 2 * values @ (means * total / spread).T
+    off += (np.square(means * total) / spread).sum(1)
+    found: Values = -(off + np.log(spread).sum(1)) / 2
     return found
 
 
@@ -120,14 +140,6 @@ def _pictures(y: Values, x: Values, scene: Values) -> Values:
     """Pictures that the sub-pixels of rows ``y`` and columns ``x`` show, (places, pixels)."""
     shown = (y.transpose(0, 2, 1) @ scene)[:, None] @ x
     return shown.reshape(len(y) * len(x), -1)
-
-
-def _averaging(size: int, parts: int) -> Values:
-    """Matrix that averages neighbouring pixels, (parts, size)."""
-    rows = [
-        np.eye(size, dtype=np.float32)[part].mean(0) for part in np.array_split(range(size), parts)
-    ]
-    return np.array(rows)
 
 
 def _power(values: Values, embedding: Embedding) -> Values:

@@ -31,12 +31,16 @@ class Measurer:
         self._transfer = make_transfer(
             camera, scene, embedding, colour=channels > 1, like=np.empty(0, np.float32)
         )
-        self._channels = channels
+        self.channels = channels
 
     @property
     def fade(self) -> Values:
         """Share of the light that each scene pixel keeps over the field, (rows, columns)."""
         return self._transfer.fade
+
+    def at(self, embedding: Embedding) -> Measurer:
+        """Return measurements of the same camera and scene at another embedding."""
+        return Measurer(self._transfer.camera, self._transfer.scene, embedding, self.channels)
 
     def __call__(self, scenes: Values, weights: Values) -> Values:
         """Return measurements at 40 dB, float32 (count, channels * pixels).
@@ -48,7 +52,7 @@ class Measurer:
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        count, channels = len(scenes), self._channels
+        count, channels = len(scenes), self.channels
         transfer = self._transfer(weights.astype(np.float32))
         transfer = transfer.reshape(channels, -1, transfer.shape[-1])
         flat = scenes.reshape(count, channels, -1).transpose(1, 0, 2)

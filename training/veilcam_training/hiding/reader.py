@@ -11,18 +11,20 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_training.data import Images
-from veilcam_training.hiding.machine import power_spectra
+from veilcam_training.hiding.machine import FINEST, averaging, power_spectra
 from veilcam_training.hiding.masks import Draw, other_mask
 from veilcam_training.hiding.pinholes import Measurer
 
 Values = npt.NDArray[Any]
 
 FEW = 1000
-"""Pixels up to which measurements are read as they are; spectra tell more of larger ones."""
+"""Values up to which measurements are read as they are. Of more, spectra tell more in gray, and
+averages in colour."""
 _MASKS = 300
 _SCENES = 200
 """Scenes behind each mask of the training."""
-_EPOCHS = 3
+_EPOCHS, _LONGER = 3, 5
+"""Epochs, and those of averaged values: they read as much as all values then."""
 _BATCH = 256
 _HIDDEN = 512
 
@@ -49,7 +51,13 @@ class Reader:
         *,
         draw: Draw = other_mask,
     ) -> None:
-        self._embedding = embedding
+        self._embedding = self._read_at = embedding
+        many = measure.channels * embedding.size > FEW
+        self._spectra = many and measure.channels == 1
+        averaged = many and not self._spectra
+        if averaged:
+            self._read_at = Embedding(*map(min, embedding.shape, FINEST.shape))
+            measure = measure.at(self._read_at)
         random = np.random.default_rng(3)
         inputs, wanted = [], []
         # Few images are soon learned by heart.
@@ -58,7 +66,8 @@ class Reader:
             values = measure(scenes_of(images, chosen), draw(camera.mask_shape, random))
             inputs.append(self._inputs(values))
             wanted.append(images.labels[chosen])
-        self._network = _train(torch.cat(inputs), torch.cat(wanted), labels)
+        epochs = _LONGER if averaged else _EPOCHS
+        self._network = _train(torch.cat(inputs), torch.cat(wanted), labels, epochs)
 
     @torch.no_grad()
     def read(self, measurements: Values, labels: Tensor) -> float:
@@ -68,11 +77,19 @@ class Reader:
             measurements: (count, channels * pixels).
             labels: int64 (count,).
         """
-        found = self._network(self._inputs(measurements)).argmax(1)
+        found = self._network(self._inputs(self._averaged(measurements))).argmax(1)
         return float((found == labels).float().mean())
 
+    def _averaged(self, measurements: Values) -> Values:
+        if self._read_at == self._embedding:
+            return measurements
+        down, across = map(averaging, self._embedding.shape, self._read_at.shape)
+        images = down @ measurements.reshape(-1, *self._embedding.shape) @ across.T
+        averages: Values = images.reshape(len(measurements), -1)
+        return averages
+
     def _inputs(self, measurements: Values) -> Tensor:
-        if self._embedding.size > FEW:
+        if self._spectra:
             return torch.from_numpy(power_spectra(measurements, self._embedding))
         values = torch.from_numpy(measurements)
         values = values - values.mean(1, keepdim=True)
@@ -86,7 +103,7 @@ def scenes_of(images: Images, chosen: Tensor | slice) -> Values:
     return scenes if scenes.ndim == 4 else scenes[:, None]
 
 
-def _train(inputs: Tensor, labels: Tensor, classes: int) -> nn.Module:
+def _train(inputs: Tensor, labels: Tensor, classes: int, epochs: int) -> nn.Module:
     """Return a perceptron fitted to inputs (count, numbers) and labels (count,)."""
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(3)
@@ -96,10 +113,10 @@ def _train(inputs: Tensor, labels: Tensor, classes: int) -> nn.Module:
             *_layer(_HIDDEN, _HIDDEN // 2),
             nn.Linear(_HIDDEN // 2, classes),
         )
-        steps = _EPOCHS * (len(inputs) // _BATCH + 1)
+        steps = epochs * (len(inputs) // _BATCH + 1)
         adam = torch.optim.Adam(network.parameters(), 2e-3)
         rates = torch.optim.lr_scheduler.OneCycleLR(adam, 3e-3, total_steps=steps)
-        for _ in range(_EPOCHS):
+        for _ in range(epochs):
             for batch in torch.split(torch.randperm(len(inputs)), _BATCH):
                 loss = nn.functional.cross_entropy(network(inputs[batch]), labels[batch])
                 adam.zero_grad()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,13 @@ def noisy(measurements: Values) -> Values:
     lit = np.clip(measurements, 0, None)
     total = np.maximum(lit.sum(1, keepdims=True), np.finfo(np.float32).tiny)
     per_light = np.square(lit).sum(1, keepdims=True) / (total * SNR)
-    noise = np.random.default_rng(2).standard_normal(lit.shape, np.float32)
-    result: Values = (measurements + np.sqrt(lit * per_light) * noise).astype(np.float32)
-    return result
+    result: Values = measurements + np.sqrt(lit * per_light) * _noise(lit.shape)
+    return result.astype(np.float32, copy=False)
+
+
+@lru_cache(maxsize=1)
+def _noise(shape: tuple[int, ...]) -> Values:
+    """Return normal numbers; they are drawn once for all masks of as many scenes."""
+    noise: Values = np.random.default_rng(2).standard_normal(shape, np.float32)
+    noise.flags.writeable = False
+    return noise

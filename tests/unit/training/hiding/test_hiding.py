@@ -13,10 +13,10 @@ from veilcam_training.bundle import BundleError, Hiding, sentences
 from veilcam_training.bundle.hiding import masks_digest
 from veilcam_training.data import Images
 from veilcam_training.hiding.eye import Eye, drawn_eye
-from veilcam_training.hiding.machine import recognised
+from veilcam_training.hiding.machine import averaging, recognised
 from veilcam_training.hiding.masks import other_mask
 from veilcam_training.hiding.pinholes import Measurer
-from veilcam_training.hiding.reader import Reader
+from veilcam_training.hiding.reader import Reader, scenes_of
 from veilcam_training.hiding.scenes import drawn_scenes, noisy, random_masks
 
 CAMERA, SCENE = Camera(), Scene()
@@ -71,19 +71,33 @@ def test_machine_recognises_scenes_of_large_embeddings_and_not_of_black_ones() -
     assert shares[1] < 0.1
 
 
-def test_reader_reads_behind_masks_that_it_never_saw() -> None:
+@pytest.mark.parametrize(("embedding", "channels"), [("24x32", 1), ("27x36", 3)])
+def test_reader_reads_behind_masks_that_it_never_saw(embedding: str, channels: int) -> None:
     """Bars that lie or stand."""
     random = np.random.default_rng(5)
     labels = random.integers(2, size=400)
     lying = (np.arange(28) + random.integers(14, size=(400, 1))) % 14 < 7
     bars = np.broadcast_to(lying[:, :, None], (400, 28, 28)).copy()
     bars[labels == 1] = bars[labels == 1].swapaxes(1, 2)
-    images = Images(torch.from_numpy(255 * bars.astype(np.uint8)), torch.from_numpy(labels))
-    embedding = Embedding(24, 32)
-    measure = Measurer(CAMERA, SCENE, embedding, 1)
-    reader = Reader(CAMERA, embedding, measure, images, 2)
-    values = measure(images.scenes().numpy()[:, None], random_masks(CAMERA, 1)[0])
-    assert reader.read(values, images.labels) > 0.9
+    pixels = torch.from_numpy(255 * bars.astype(np.uint8))
+    if channels > 1:
+        pixels = torch.stack([pixels, pixels // 2, pixels // 4], 1)
+    images = Images(pixels, torch.from_numpy(labels))
+    size = Embedding(*map(int, embedding.split("x")))
+    measure = Measurer(CAMERA, SCENE, size, channels)
+    reader = Reader(CAMERA, size, measure, images, 2)
+    scenes = scenes_of(images, slice(None))
+    shares = [reader.read(measure(scenes, mask), images.labels) for mask in random_masks(CAMERA, 4)]
+    assert np.mean(shares) > 0.9
+
+
+def test_averages_are_what_a_coarser_embedding_measures() -> None:
+    scenes, mask = drawn_scenes(SCENE, 1, 20), random_masks(CAMERA, 1)[0]
+    fine = Measurer(CAMERA, SCENE, Embedding(27, 36), 1)
+    down, across = averaging(27, 12), averaging(36, 16)
+    averages = (down @ fine(scenes, mask).reshape(-1, 27, 36) @ across.T).reshape(20, -1)
+    coarse = fine.at(Embedding(12, 16))(scenes, mask)
+    assert np.linalg.norm(averages - coarse) < 0.02 * np.linalg.norm(coarse)
 
 
 def test_other_masks_are_weights() -> None:
