@@ -24,7 +24,7 @@ from veilcam_server.bundles.loader import (
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.loading import (
+from veilcam_server.calibration.record import (
     open_calibration,
     settle_time,
     source_opener,
