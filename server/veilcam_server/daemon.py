@@ -150,12 +150,12 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit),
+        BundleManager(store, opener, keys),
         CalibrationService(settings, bundle, key, signed),
         form=lambda: terms().form,
         raw_budget=settings.raw_budget,
         pairing=Pairing(receivers, key.public, camera.renew),
-        queue_limit=settings.queue_limit,
+        queue_limit=settings.queue,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         break_device=device.set_faults if settings.scene_api else None,
@@ -247,7 +247,7 @@ def _serve(
     try:
         with open_admission(settings, service.report) as admission:
             room = room_for(settings.connections)
-            connections = Connections(*room, settings.header_timeout, settings.body_timeout)
+            connections = Connections(*room)
             config = uvicorn.Config(
                 create_app(
                     service,

@@ -49,7 +49,7 @@ class Connections:
         body: longest time for each :data:`PORTION` of a body [s].
     """
 
-    def __init__(self, limit: int, waiting: int, headers: float, body: float) -> None:
+    def __init__(self, limit: int, waiting: int, headers: float = 10.0, body: float = 20.0) -> None:
         self.limit, self.waiting, self.headers, self.body = limit, waiting, headers, body
         self.dropped: Counter[Reason] = Counter()
         """Connections that the gate ended, by reason."""

@@ -223,7 +223,7 @@ async def test_settings_are_told_without_what_could_be_secret(
         "tls_certificate": tmp_path / planted,
         "tls_key": tmp_path / planted,
         "rotation": {"mode": "captures", "captures": 77},
-        "queue_limit": 5,
+        "callers": 5,
     }
     settings = Settings.model_validate(given)
     with open_admission(settings) as admission:
@@ -236,7 +236,7 @@ async def test_settings_are_told_without_what_could_be_secret(
     assert set(told) == set(Settings.model_fields)
     assert told["tls_key"] == told["host"] == "given"
     assert told["device"] == "simulated"
-    assert told["queue_limit"] == 5
+    assert told["callers"] == 5
     assert told["socket"] is None
     rotation = told["rotation"]
     assert isinstance(rotation, dict)
