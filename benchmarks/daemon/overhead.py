@@ -147,10 +147,8 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Measure what a classification costs beyond the device's own time."""
-    # All clients are one peer, and ask as often as they can.
-    os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
-    # One more than there are clients: none is turned away, whatever the order of things.
-    options = ("--queue-limit", str(clients + 1))
+    # All clients are one peer, and ask as often as they can: none is to be refused.
+    options = ("--callers", "1024")
     values: dict[str, float] = {}
     with work_folder() as folder, prompt_daemon(folder, *options) as url:
         with Camera(url) as camera:

@@ -63,7 +63,7 @@ def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, until: float
     """Count what a daemon says of the first and second capture after a fault, a mask for each."""
     random, came = np.random.default_rng(FAULTS.index(fault)), Counter[str]()
     kinds = scenes(random, 10)
-    options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
+    options = ("--callers", "1024", "--every-captures", "1")
     with (
         _daemon(folder / fault, bundle, *options) as url,
         Camera(url, connect_timeout=30) as camera,
@@ -271,7 +271,7 @@ def latencies(folder: Path, count: int) -> tuple[float, Array, Counter[str]]:
     random, came = np.random.default_rng(7), Counter[str]()
     kinds = scenes(random, 10)
     told: tuple[list[float], list[float]] = ([], [])
-    options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
+    options = ("--callers", "1024", "--every-captures", "1")
     with (
         _daemon(folder / "latencies", BUNDLE, *options) as url,
         Camera(url, max_retries=0, connect_timeout=30) as camera,

@@ -35,9 +35,8 @@ from matplotlib.figure import Figure
 
 from veilcam_server.demo_data import Digits
 from veilcam_server.masks.source import Evidence
-from veilcam_server.watch.admission import Admission
-from veilcam_server.watch.belief import FRESH, Dynamics, Sensing, fuse
-from veilcam_server.watch.fusion import Fusion
+from veilcam_server.watch.belief import FRESH, Dynamics, Sensing, Thresholds, fuse
+from veilcam_server.watch.sightings import Fusion
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -103,7 +102,7 @@ def timeline(
 
 def follow(looks: Sequence[Evidence], rate: float) -> tuple[list[str | None], list[list[str]]]:
     """What is there after each look, and what was told of with it."""
-    fusion = Fusion(Admission(), Dynamics(), 1)
+    fusion = Fusion(Thresholds(), Dynamics(), 1)
     there, told = [], []
     for number, evidence in enumerate(looks):
         changes = fusion.take(evidence, number / rate)
@@ -200,7 +199,7 @@ def odd(*, count: int = 200, held: int = 8, seed: int = TESTING) -> None:
     print(f"{count} scenes each, {held} looks at every one: admitted looks, told, told rightly")
     for name, scenes in odd_scenes(digits.images[chosen], draw).items():
         looks = rig.look(np.repeat(scenes, held, axis=0))
-        admitted = np.mean([Admission().admits(each) for each in looks])
+        admitted = np.mean([Thresholds().admits(each) for each in looks])
         told = []
         for place, label in enumerate(labels):
             _, seen = follow(looks[place * held : (place + 1) * held], RATE)
@@ -282,7 +281,7 @@ def fix(*, looks: int = 4, count: int = 1200, seed: int = FIXING) -> None:
     digits = Digits(all_of_them.images[chosen], all_of_them.labels[chosen])
     scenes = as_scenes(digits.images)
     things, nothing = rig.look(scenes), rig.look(empty_scenes(len(scenes), draw))
-    lit = [each for each in nothing if each.light >= Admission().least_light]
+    lit = [each for each in nothing if each.light >= Thresholds().least_light]
     for name, kind in (("digits", things), ("empty and lit", lit)):
         novelty = [each.novelty or 0 for each in kind]
         light = [each.light for each in kind]
@@ -353,7 +352,7 @@ def chart(
 
 def _cost(rig: Rig, scene: Scenes, rounds: int = 20) -> float:
     """CPU time of one look: a mask, what reads behind it, one capture and the filter [ms]."""
-    fusion = Fusion(Admission(), Dynamics(), 1)
+    fusion = Fusion(Thresholds(), Dynamics(), 1)
     began = time.process_time()
     for number in range(rounds):
         mask = rig.draw()

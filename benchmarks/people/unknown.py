@@ -27,7 +27,7 @@ from benchmarks.people.looks import (
 )
 from PIL import Image, ImageDraw
 
-from veilcam_server.watch.admission import Admission
+from veilcam_server.watch.belief import Thresholds
 from veilcam_training.bundle import Network, classifier_inputs
 
 Values = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ class Reader:
         ):
             read = self._rig.measured(some, mask)
             told = mask.reader.evidence_of(read)
-            admitted = [Admission().admits(each) for each in told]
+            admitted = [Thresholds().admits(each) for each in told]
             inputs = classifier_inputs(mask.reader.decoder, read[admitted]).astype(np.float32)
             found.append(self._network(inputs).astype(np.float64))
         return np.concatenate(found)

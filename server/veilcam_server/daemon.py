@@ -24,7 +24,7 @@ from veilcam_server.bundles.loader import (
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.loading import (
+from veilcam_server.calibration.record import (
     open_calibration,
     settle_time,
     source_opener,
@@ -48,7 +48,8 @@ from veilcam_server.errors import (
     RotationImpossibleError,
     StartError,
 )
-from veilcam_server.gate.server import Gate, GateServer, open_gate
+from veilcam_server.gate.protocol import Connections
+from veilcam_server.gate.server import GateServer
 from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
@@ -59,7 +60,7 @@ from veilcam_server.service.replay import replay_service
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
-from veilcam_server.system.listeners import Listener, open_listeners
+from veilcam_server.system.listeners import Listener, open_listeners, room_for
 from veilcam_server.system.logs import log_defect
 from veilcam_server.system.memory import forbid_core_files, no_garbage
 from veilcam_server.system.state_file import HeldDirectory
@@ -149,12 +150,12 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit),
+        BundleManager(store, opener, keys),
         CalibrationService(settings, bundle, key, signed),
         form=lambda: terms().form,
         raw_budget=settings.raw_budget,
         pairing=Pairing(receivers, key.public, camera.renew),
-        queue_limit=settings.queue_limit,
+        queue_limit=settings.queue,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         break_device=device.set_faults if settings.scene_api else None,
@@ -190,11 +191,11 @@ class _Server(GateServer):
     def __init__(
         self,
         config: uvicorn.Config,
-        gate: Gate,
+        connections: Connections,
         service: Service,
         on_listening: Callable[[], None],
     ) -> None:
-        super().__init__(config, gate)
+        super().__init__(config, connections)
         self._service, self._on_listening = service, on_listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -245,12 +246,13 @@ def _serve(
         service = build_service(settings)
     try:
         with open_admission(settings, service.report) as admission:
-            gate = open_gate(settings)
+            room = room_for(settings.connections)
+            connections = Connections(*room)
             config = uvicorn.Config(
                 create_app(
                     service,
                     admission,
-                    gate.connections,
+                    connections,
                     lambda: examine_beside(Machine(), settings),
                 ),
                 http="h11",
@@ -264,7 +266,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
-            server = _Server(config, gate, service, listening)
+            server = _Server(config, connections, service, listening)
             log.info(
                 "start",
                 urls=urls,

@@ -137,9 +137,7 @@ _WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_ho
 _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
-        *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
-        *("heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
-        *("caller_stream_limit", "connection_limit", "header_timeout", "body_timeout"),
+        *("callers", "heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -222,37 +220,15 @@ class Settings(Wiring):
     guard: float = Field(default=10.0, ge=0, le=600, allow_inf_nan=False)
     """Longest age in seconds of the opaque frame that vouches for an answer, where masks serve more
     than one capture; 0 for one with each answer."""
-    queue_limit: int = Field(default=8, ge=1, le=1024)
-    """Captures that may wait."""
     auth: Literal["tokens", "none"] = "tokens"
     """tokens, or none: whoever reaches the daemon may use it; by default none when simulated."""
     tls_certificate: Path | None = None
     """Serve TLS with this certificate, a PEM file."""
     tls_key: Path | None = None
     """Its private key, a PEM file."""
-    rate_limit: float = Field(default=100.0, gt=0, le=1e6, allow_inf_nan=False)
-    """Requests of one caller in a second, in the long run."""
-    rate_burst: int = Field(default=200, ge=1, le=1_000_000)
-    """Requests of one caller that may come at once after a quiet time."""
-    concurrency_limit: int = Field(default=64, ge=1, le=1024)
-    """Requests of one caller that may be under way at once, event streams included."""
-    stream_limit: int | None = Field(default=None, ge=1, le=4096)
-    """Event streams that may be open, all callers together. Default: half of the connections."""
-    caller_stream_limit: int = Field(default=16, ge=1, le=1024)
-    """Event streams that one caller may open."""
-    connection_limit: int | None = Field(default=None, ge=8, le=4096)
-    """Connections that may be open, event streams included. Default: 512, with TLS 128."""
-    header_timeout: float = Field(default=10.0, gt=0, le=600, allow_inf_nan=False)
-    """Longest time for a TLS handshake, and for the headers of a request, in seconds."""
-    body_timeout: float = Field(default=20.0, gt=0, le=600, allow_inf_nan=False)
-    """Longest time for each 16 KiB of a request's body in seconds."""
-    upload_limit: int = Field(default=4, ge=1, le=64)
-    """Uploads that may be under way, all callers together; each has its file in the state
-    directory meanwhile."""
-    caller_upload_limit: int = Field(default=2, ge=1, le=64)
-    """Uploads that one caller may have under way."""
-    bundle_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
-    """Largest bundle that may be uploaded, in bytes."""
+    callers: int = Field(default=16, ge=1, le=1024)
+    """Programs that use the camera at the same time. Limits of connections, event streams, requests
+    and waiting captures follow."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
     """Seconds between two signs of life on a quiet event stream."""
     wrong_classifier: bool = False
@@ -373,11 +349,6 @@ class Settings(Wiring):
             raise ValueError("--tls-certificate and --tls-key go together: give both")
         if self.tls_certificate is not None and self.socket is not None:
             raise ValueError("a unix socket needs no TLS: leave --tls-certificate out")
-        if self.streams >= self.connections:
-            raise ValueError(
-                f"--stream-limit {self.streams} leaves nothing of {self.connections} connections: "
-                "give less, or a higher --connection-limit"
-            )
         loopback = ipaddress.ip_address(self.host).is_loopback
         if self.socket is None and not loopback and not self.serves_others:
             raise ValueError(
@@ -443,26 +414,6 @@ class Settings(Wiring):
                 )
         return self
 
-    @model_validator(mode="after")
-    def _limits_fit(self) -> Self:
-        """Refuse a limit that another one keeps from ever being reached."""
-        for name, whole, most in (
-            ("caller_stream_limit", "stream_limit", self.streams),
-            ("caller_stream_limit", "concurrency_limit", self.concurrency_limit),
-            ("caller_upload_limit", "upload_limit", self.upload_limit),
-            ("caller_upload_limit", "concurrency_limit", self.concurrency_limit),
-            ("concurrency_limit", "connection_limit", self.connections),
-            ("upload_limit", "connection_limit", self.connections),
-            ("queue_limit", "connection_limit", self.connections),
-        ):
-            limit = getattr(self, name)
-            # A default gives way by itself.
-            if name in self.model_fields_set and limit > most:
-                raise ValueError(
-                    f"{_option(name)} {limit} is more than {_option(whole)} {most}: give less"
-                )
-        return self
-
     def redacted(self) -> dict[str, JsonValue]:
         """Every setting; ``"given"`` stands for what is no number, switch, policy or known word."""
         shown: dict[str, JsonValue] = {}
@@ -490,17 +441,43 @@ class Settings(Wiring):
 
     @property
     def connections(self) -> int:
-        """Connections that may be open."""
-        if self.connection_limit is not None:
-            return self.connection_limit
-        # asyncio takes 340 kB for each TLS connection, 256 KiB of them a buffer for reading:
-        # 128 of them, which any stranger may open, are 44 MB. Without TLS it is 20 kB.
-        return 512 if self.tls_certificate is None else 128
+        """Connections that may be open, at most 4096: by default 512, with TLS 128."""
+        # asyncio takes 340 kB for each TLS connection, 256 KiB of them a buffer for reading. 128 of
+        # them, which strangers may open, are 44 MB. Without TLS a connection takes 20 kB.
+        return min(4096, self.callers * (32 if self.tls_certificate is None else 8))
 
     @property
     def streams(self) -> int:
-        """Event streams that may be open."""
-        return self.connections // 2 if self.stream_limit is None else self.stream_limit
+        """Event streams that may be open: half of the connections."""
+        return self.connections // 2
+
+    @property
+    def caller_streams(self) -> int:
+        """Event streams that one caller may open: by default 16."""
+        return min(16, self.streams)
+
+    @property
+    def concurrency(self) -> int:
+        """Requests of one caller that may be under way, event streams included: by default 64."""
+        return 4 * self.callers
+
+    @property
+    def rate(self) -> float:
+        """Requests of one caller in a second, in the long run: by default 100.
+
+        One caller may be many programs: all of an address count as one where no token is wanted.
+        """
+        return 6.25 * self.callers
+
+    @property
+    def burst(self) -> int:
+        """Requests of one caller that may come at once after a quiet time: by default 200."""
+        return round(2 * self.rate)
+
+    @property
+    def queue(self) -> int:
+        """Captures that may wait: by default 8."""
+        return max(2, self.callers // 2)
 
     @property
     def serves_others(self) -> bool:

@@ -17,9 +17,8 @@ from veilcam_server.demo.tally import Sample, Tally
 
 @pytest.mark.thorough
 def test_figures_of_clients_at_the_same_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("VEILCAM_RATE_LIMIT", "set again by the measurement, and put back here")
     figures = tmp_path / "figures.json"
     overhead.main(clients=2, count=3, figures=figures)
     said = capsys.readouterr().out

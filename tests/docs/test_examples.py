@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import runpy
 import sys
@@ -127,6 +128,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 @pytest.mark.slow
 @pytest.mark.numerical
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # the page's programs end without closing
 def test_blocks_run(lead_to: Lead, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(BLOCKS) == 7
     with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
@@ -134,6 +136,7 @@ def test_blocks_run(lead_to: Lead, capsys: pytest.CaptureFixture[str]) -> None:
         names: dict[str, object] = {}
         for block in BLOCKS:
             exec(compile(block, str(PAGE), "exec"), names)
+        gc.collect()
     assert str(names["label"]).isdigit()
     printed = capsys.readouterr().out
     assert "events were missed" in printed

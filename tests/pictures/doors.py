@@ -121,8 +121,7 @@ def open_doors(folder: Path) -> Iterator[Doors]:
             "settle": 0.0,
             "exposure": 0.0,
             "rotation": {"mode": "off"},
-            "rate_limit": 1e6,
-            "rate_burst": 10**6,
+            "callers": 1024,
         }
     )
     with start_blocking_portal() as portal:

@@ -25,10 +25,8 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import GivenSettings, Settings
 
 SERVE = "veilcam_server.daemon:serve"
-UNHINDERED = {"rate_limit": 1e6, "rate_burst": 1_000_000, "queue_limit": 64}
+UNHINDERED = {"callers": 1024}
 """Settings of a daemon that meets in a second what no caller sends in an hour."""
-SPARE = 32
-"""Event streams that may be open beyond those of honest clients."""
 SHOWN = 20
 
 
@@ -153,7 +151,7 @@ class Ground:
 
     @cached_property
     def shared(self) -> tuple[Settings, Daemon]:
-        settings = self.settings("shared", stream_limit=self.extent.streams + SPARE)
+        settings = self.settings("shared")
         return settings, self.stack.enter_context(self.start(settings))
 
 

@@ -72,7 +72,7 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
 
 
 async def foreign_page(ground: Ground, judgement: Judgement) -> None:
-    settings = ground.settings("page", auth="none", rotation=RotationOff(), rate_burst=10_000)
+    settings = ground.settings("page", auth="none", rotation=RotationOff(), callers=1024)
     acted: list[str] = []
     idle: list[str] = []
     with ground.start(settings) as daemon:

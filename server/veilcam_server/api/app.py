@@ -31,7 +31,7 @@ from veilcam_server.api.routes import (
     tokens,
     watch,
 )
-from veilcam_server.gate.connections import Connections
+from veilcam_server.gate.protocol import Connections
 from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 

@@ -12,7 +12,7 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from veilcam_client.wire.status import State
-from veilcam_server.gate.connections import Connections, Reason
+from veilcam_server.gate.protocol import Connections, Reason
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.service.service import Service
 

@@ -19,7 +19,6 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from veilcam_client.wire.base import CALL_HEADER
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.problems import (
     DefectError,
@@ -28,8 +27,8 @@ from veilcam_server.api.problems import (
     problem_response,
 )
 from veilcam_server.errors import AuditError, ProblemError
-from veilcam_server.gate.protocol import echoed
 from veilcam_server.security.admission import Admission
+from veilcam_server.security.headers import call_header, security_headers
 from veilcam_server.system.logs import log_defect
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -107,7 +106,7 @@ class RequestContext:
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
         state = scope.setdefault("state", {})
         state.update(request_id=request_id, caller=None, problem=None, noted={})
-        state["echoed"] = echoed(headers.getlist(CALL_HEADER))
+        state["echoed"] = call_header(headers)
         peer = _peer(scope)
         body = self._uploads.get((scope["method"], scope["path"]), self._body)
         begun = time.monotonic()
@@ -225,36 +224,6 @@ class RequestContext:
             await asyncio.to_thread(note)
         else:
             note()
-
-
-def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
-    """Return the headers that tell a browser to make nothing of an answer, refusals included.
-
-    Args:
-        frame_ancestors: origins of the pages that may show it in a frame.
-    """
-    return {
-        "Content-Security-Policy": content_security_policy(frame_ancestors),
-        "Cross-Origin-Resource-Policy": "same-origin",
-        "Referrer-Policy": "no-referrer",
-        "X-Content-Type-Options": "nosniff",
-    }
-
-
-def content_security_policy(frame_ancestors: tuple[str, ...], *sources: str) -> str:
-    """Return a policy that allows nothing but ``sources``.
-
-    Args:
-        frame_ancestors: origins of the pages that may show it in a frame.
-        sources: further directives.
-    """
-    framing = " ".join(frame_ancestors) or "'none'"
-    return "; ".join(
-        (
-            *("default-src 'none'", *sources, "base-uri 'none'", "form-action 'none'"),
-            f"frame-ancestors {framing}",
-        )
-    )
 
 
 def _limited(receive: Receive, limit: int) -> Receive:

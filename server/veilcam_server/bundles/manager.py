@@ -24,6 +24,10 @@ Change = Callable[[LoadedBundle], Awaitable[None]]
 """Makes the camera use other keys, or raises and leaves it with those that it has."""
 
 
+UPLOAD = 64 * 2**20
+"""Largest upload [bytes]."""
+
+
 class BundleManager:
     """Installed bundles, and the one in use. Lives on one event loop.
 
@@ -40,7 +44,7 @@ class BundleManager:
         opener: Opener,
         keys: LoadedBundle,
         *,
-        limit: int,
+        limit: int = UPLOAD,
     ) -> None:
         self._store, self._opener, self._keys = store, opener, keys
         self.limit = limit

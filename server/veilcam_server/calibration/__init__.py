@@ -1,1 +1,1 @@
-"""The camera measured with itself: what panel, sensor and their distance really are."""
+"""Calibration: measurements of panel, sensor and their distance with the camera itself."""

@@ -9,13 +9,12 @@ import numpy as np
 
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.transfer.tables import Reach, make_transfer
-from veilcam_server.calibration.least_squares import least_squares
-from veilcam_server.calibration.response import uncertainties
+from veilcam_server.calibration.response import least_squares, uncertainties
 from veilcam_server.calibration.rig import Geometry, Values
 
 NAMES = ("shift_y", "shift_x", "rotation", "distance_error")
 _UNITS = np.array([1e-6, 1e-6, 1e-3, 1e-5])
-"""Of the numbers that the fit moves: um, um, mrad, 10 um."""
+"""Units of the fitted numbers: um, um, mrad, 10 um."""
 _PERCENT = 1e-2
 """Unit in which the fit moves the share of stray light."""
 _STEP = 6.2e-6
@@ -27,8 +26,8 @@ _SMALL = 0.03
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sight:
-    """One known scene, seen behind several patterns."""
+class SceneReadings:
+    """Measurements of one known scene behind several patterns."""
 
     image: Values = field(repr=False)
     """(rows, columns) of the scene."""
@@ -48,16 +47,16 @@ class Alignment:
     imperfections: Imperfections
     uncertainties: tuple[float, float, float, float]
     gains: tuple[float, ...]
-    """Measurement per predicted measurement, of each sight."""
+    """Measurement per predicted measurement, for each scene."""
     gain_uncertainties: tuple[float, ...]
     stray_uncertainty: float
-    """Of the share of light that is spread evenly."""
+    """Standard uncertainty of the share of light that is spread evenly."""
     residuals: tuple[float, ...]
-    """Of each sight: root mean square, relative to its measurements."""
+    """Root mean square of each scene, relative to its measurements."""
 
 
 class Optics:
-    """Predicted measurements as a function of where the mask is; float64.
+    """Predicted measurements as a function of the mask's place; float64.
 
     Args:
         geometry: the nominal camera.
@@ -74,7 +73,7 @@ class Optics:
         self._scenes = np.stack([image.ravel() for image in images])
 
     def predict(self, place: Values) -> Values:
-        """(sights, patterns x embedding pixels) for :data:`NAMES` in SI units."""
+        """Return (scenes, patterns x embedding pixels) for :data:`NAMES` in SI units."""
         found = Imperfections(**dict(zip(NAMES, place.tolist(), strict=True)))
         geometry = self._geometry
         transfer = make_transfer(
@@ -90,15 +89,15 @@ class Optics:
         return np.concatenate(measurements, axis=1)
 
     def measurements(self, found: Imperfections) -> Values:
-        """(sights, patterns x embedding pixels), stray light included."""
+        """Return (scenes, patterns x embedding pixels), stray light included."""
         place = np.array([getattr(found, name) for name in NAMES])
         return strayed(self.predict(place), found.stray_light, self._geometry.embedding.size)
 
     def slopes(self, place: Values) -> Values:
-        """Return the derivatives of the prediction by each of the fit's units, (4, sights, values).
+        """Return the derivatives of the prediction by each of the fit's units, (4, scenes, values).
 
-        Central differences: what is predicted bends over a sub-pixel's pitch, some tens of a unit,
-        so that steps of ``_SMALL`` are off by 1e-6 of the derivative.
+        They are central differences. Predictions bend over a sub-pixel's pitch, some tens of a
+        unit, so steps of ``_SMALL`` are off by 1e-6 of the derivative.
         """
         steps = _SMALL * np.diag(_UNITS)
         differences = [self.predict(place + step) - self.predict(place - step) for step in steps]
@@ -108,24 +107,24 @@ class Optics:
 def align(
     geometry: Geometry,
     weights: Values,
-    sights: Sequence[Sight],
+    sights: Sequence[SceneReadings],
     start: Imperfections,
     *,
     reach: Reach,
     check: Callable[[], None] = lambda: None,
 ) -> Alignment:
-    """Fit shift, rotation and distance, stray light, and a gain for each sight.
+    """Fit shift, rotation and distance, stray light, and a gain for each scene.
 
-    Light that goes astray between panel and sensor is taken to fall evenly on the sensor: a share
-    ``s`` of it makes ``(1 - s) y + s mean(y)`` of a measurement ``y``.
+    Stray light falls evenly on the sensor in this model: a share ``s`` of it turns a measurement
+    ``y`` into ``(1 - s) y + s mean(y)``.
 
     Args:
         geometry: the nominal camera.
         weights: (patterns, rows, columns), amplitudes as the panel shows them.
-        sights: the same patterns before several known scenes.
-        start: values to begin with, and what else is known.
+        sights: measurements of several known scenes behind these patterns.
+        start: imperfections to begin with; those that are not fitted stay.
         reach: reach of interference between sub-pixels.
-        check: called before each evaluation; what it raises ends the fit.
+        check: function that is called before each evaluation; its exception ends the fit.
     """
     optics = Optics(geometry, weights, [sight.image for sight in sights], reach)
     scales = np.array([sight.scale for sight in sights])
@@ -165,7 +164,7 @@ def align(
     return Alignment(
         imperfections=replace(
             start,
-            # A little less than none is none.
+            # Noise can make the fitted share negative.
             stray_light=min(1.0, max(0.0, float(found.values[4]) * _PERCENT)),
             **dict(zip(NAMES, place.tolist(), strict=True)),
         ),
@@ -186,13 +185,7 @@ def strayed(measurements: Values, share: float, size: int) -> Values:
     return spread.reshape(measurements.shape)
 
 
-def _rms(rows: Values) -> Values:
-    """Root mean square of each row."""
-    rms: Values = np.sqrt(np.mean(rows**2, axis=1))
-    return rms
-
-
 def _gains(predicted: Values, observed: Values) -> Values:
-    """Best gain of each sight on its own."""
+    """Return the best gain of each scene on its own."""
     gains: Values = (predicted * observed).sum(1) / (predicted**2).sum(1)
     return gains

@@ -1,40 +1,136 @@
-"""The camera that would read what was read."""
+"""Fit of the camera to all measurements of a calibration, and its result."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
+from veilcam_client.wire.calibration import CalibrationRecord, Quantity
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.transfer.tables import Reach
-from veilcam_server.calibration.alignment import Alignment, Optics, Sight, align
-from veilcam_server.calibration.least_squares import least_squares
+from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, SceneReadings, align
 from veilcam_server.calibration.measurements import Measurements
-from veilcam_server.calibration.response import Response, fit_response, uncertainties
-from veilcam_server.calibration.result import CalibrationResult
+from veilcam_server.calibration.response import Response, fit_response, least_squares, uncertainties
 from veilcam_server.calibration.rig import Geometry, Patterns, Values
-from veilcam_server.devices.base import Levels
+from veilcam_server.devices.base import Device, Levels
 from veilcam_server.errors import CalibrationError
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CalibrationResult:
+    """Result of a calibration."""
+
+    measured: Measurements
+    response: Response
+    alignment: Alignment
+    stuck_uncertainty: float
+    """Standard uncertainty of the transmittance of dead lines."""
+    card_error: float
+    """Relative error of predicted measurements of the white card, behind patterns held out."""
+    lamp_error: float
+    """Relative error of the same measurements of the lamp."""
+    lamp_predicted: Values = field(repr=False)
+    """Predicted measurement of the lamp behind the last pattern, which no fit uses."""
+
+    @property
+    def lamp(self) -> Values:
+        """Measurement of the lamp behind the last pattern."""
+        seen: Values = self.measured.sights[1].measurements[-1]
+        return seen
+
+
+def make_record(
+    found: CalibrationResult, device: Device, *, exposure: float, tab: str | None, geometry: str
+) -> CalibrationRecord:
+    """Return the record of a calibration.
+
+    Args:
+        found: result of the calibration.
+        device: device that was calibrated.
+        exposure: exposure of the measurements [s].
+        tab: tab of the panel.
+        geometry: digest of the nominal camera, scene and embedding.
+    """
+    measured, alignment, response = found.measured, found.alignment, found.response
+    imperfections, gain = alignment.imperfections, alignment.gains[0]
+    full_scale, settling, lines = device.sensor.full_scale, measured.settling, measured.lines
+    black, noise = float(measured.unlit.mean()), float(measured.unlit.std())
+    fit = float(np.sqrt(np.mean(np.square(alignment.residuals))))
+    gain_spread = alignment.gain_uncertainties[0]
+
+    def placed(name: str) -> Quantity:
+        spread = alignment.uncertainties[NAMES.index(name)]
+        return Quantity(value=getattr(imperfections, name), uncertainty=spread, residual=fit)
+
+    def shown(value: float, uncertainty: float) -> Quantity:
+        return Quantity(value=value, uncertainty=uncertainty, residual=response.residual)
+
+    return CalibrationRecord(
+        taken_at=datetime.now(UTC),
+        display=device.display.name,
+        sensor=device.sensor.name,
+        simulated=device.simulated,
+        tab=tab,
+        exposure_s=exposure,
+        geometry=geometry,
+        settling_s=Quantity(
+            value=settling.seconds,
+            uncertainty=settling.uncertainty,
+            residual=settling.residual,
+        ),
+        black_level=Quantity(
+            value=black,
+            uncertainty=noise / float(np.sqrt(measured.unlit.size)),
+            residual=noise / full_scale,
+        ),
+        gain=Quantity(value=gain, uncertainty=gain_spread, residual=found.card_error),
+        full_scale=Quantity(
+            value=(full_scale - black) / gain,
+            uncertainty=gain_spread * (full_scale - black) / gain**2,
+            residual=found.card_error,
+        ),
+        gamma=shown(response.gamma, response.gamma_uncertainty),
+        contrast_floor=shown(response.floor, response.floor_uncertainty),
+        dead_rows=lines.dead_rows,
+        dead_columns=lines.dead_columns,
+        dead_transmittance=Quantity(
+            value=imperfections.dead_transmittance,
+            uncertainty=found.stuck_uncertainty,
+            residual=fit,
+        ),
+        shift_y_m=placed("shift_y"),
+        shift_x_m=placed("shift_x"),
+        rotation_rad=placed("rotation"),
+        distance_error_m=placed("distance_error"),
+        stray_light=Quantity(
+            value=imperfections.stray_light,
+            uncertainty=alignment.stray_uncertainty,
+            residual=fit,
+        ),
+        psf_residual=found.lamp_error,
+        drift=measured.drift,
+    )
 
 
 def split_darkness(
     geometry: Geometry,
-    opaque: Sequence[Sight],
+    opaque: Sequence[SceneReadings],
     gains: Sequence[float],
     known: Imperfections,
     *,
     reach: Reach,
 ) -> tuple[Imperfections, float, float]:
-    """Contrast floor and transmittance of dead lines, from where an opaque panel's light falls.
+    """Fit contrast floor and transmittance of dead lines to measurements behind an opaque panel.
 
     Args:
         geometry: the nominal camera.
         opaque: scenes behind the opaque panel, one pattern each.
         gains: measurement per predicted measurement of those scenes.
-        known: place of the mask, dead lines and share of stray light, as found.
+        known: imperfections that were found, such as place of the mask and dead lines.
         reach: reach of interference between sub-pixels.
 
     Returns:
@@ -49,11 +145,11 @@ def split_darkness(
     predicted = optics.measurements(known).reshape(len(opaque), 2, -1)
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
-        # Not scaled to each other: what little comes of a lamp is below a step of the converter.
+        # Scenes keep their scales: the lamp's light may be below a step of the converter.
         columns.append(each.T * gain)
         values.append(sight.measurements.ravel())
     matrix, seen = np.concatenate(columns), np.concatenate(values)
-    # Amplitudes are the roots of what is fitted, and so are their uncertainties, to first order.
+    # Amplitudes are the roots of the fitted shares, and their uncertainties follow to first order.
     light = least_squares(
         lambda shares: matrix @ shares - seen, lambda _: matrix, np.zeros(2), lowest=0.0
     )
@@ -69,11 +165,11 @@ def split_darkness(
 
 
 _MISFIT = 0.1
-"""Largest relative error of predicted measurements behind patterns that no fit has seen."""
+"""Largest relative error of predicted measurements behind held-out patterns."""
 _ROUNDS = 2
-"""How often light of the floor, light of dead lines, and gain are fitted in turn."""
+"""Number of rounds in which floor, dead lines and gain are fitted in turn."""
 _FARTHEST, _TURNED = 1e-3, 20e-3
-"""Largest shift [m] and rotation [rad] that decoders can take in."""
+"""Largest shift [m] and rotation [rad] that decoders correct."""
 
 
 def fit(
@@ -84,17 +180,17 @@ def fit(
     patterns: Patterns,
     check: Callable[[], None],
 ) -> CalibrationResult:
-    """Find the camera that would read what was read.
+    """Fit the imperfections of a camera to its measurements.
 
     Args:
         measured: measurements.
         geometry: the nominal camera.
         reach: reach of interference between sub-pixels.
         patterns: patterns that were shown.
-        check: called before each evaluation; what it raises ends the fit.
+        check: function that is called before each evaluation; its exception ends the fit.
 
     Raises:
-        CalibrationError: there is no such camera, or it is too far from the nominal one.
+        CalibrationError: no camera fits, or the one that fits is too far from the nominal one.
     """
     return _Fit(geometry, reach, patterns, check).fit(measured)
 
@@ -106,10 +202,10 @@ class _Fit:
     patterns: Patterns
     check: Callable[[], None]
     stuck_uncertainty: float = 0.0
-    """Of what dead lines let through."""
+    """Standard uncertainty of the transmittance of dead lines."""
 
     def fit(self, measured: Measurements) -> CalibrationResult:
-        """Return everything that was found."""
+        """Return the result of all fits."""
         response, alignment = self._fit(measured)
         predicted, errors = self._verdict(measured.levels, measured.sights, alignment)
         return CalibrationResult(
@@ -123,10 +219,10 @@ class _Fit:
         )
 
     def _fit(self, measured: Measurements) -> tuple[Response, Alignment]:
-        """Coarse patterns first, then all.
+        """Fit coarse patterns first, then all.
 
-        What dead lines let through is not known at first, but is there at every pattern: where
-        there are any, the first fits are of what patterns add to the opaque panel's light.
+        Dead lines add the same unknown light to every pattern. Where there are dead lines, the
+        first fits use the light that patterns add to the opaque panel's.
         """
         levels, sights, staircase = measured.levels, measured.sights, measured.staircase
         lines, patterns = measured.lines, self.patterns
@@ -169,7 +265,7 @@ class _Fit:
     def _align(
         self,
         levels: Sequence[Levels],
-        sights: Sequence[Sight],
+        sights: Sequence[SceneReadings],
         start: Imperfections,
         used: slice,
     ) -> Alignment:
@@ -187,9 +283,9 @@ class _Fit:
         return np.stack([known.shown(to_weights(each, panel)) for each in levels])
 
     def _verdict(
-        self, levels: Sequence[Levels], sights: Sequence[Sight], alignment: Alignment
+        self, levels: Sequence[Levels], sights: Sequence[SceneReadings], alignment: Alignment
     ) -> tuple[Values, tuple[float, ...]]:
-        """Predicted measurements of held-out patterns, and their relative error for each scene."""
+        """Return predictions for held-out patterns, and their relative error for each scene."""
         found = alignment.imperfections
         for name, amount, limit, unit in (
             ("shifted", max(abs(found.shift_y), abs(found.shift_x)), _FARTHEST, 1e-3),

@@ -1,4 +1,4 @@
-"""``calibration.png``: every curve that was measured, what was fitted to it, and what that left."""
+"""Chart of a calibration, ``calibration.png``: measured curves, fits and residuals."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from matplotlib.figure import Figure
 
 from veilcam_client.cli.format import table
 from veilcam_client.wire.calibration import CalibrationRecord
+from veilcam_server.calibration.measurements import SETTLED, Settling
 from veilcam_server.calibration.procedure import Calibrated
 from veilcam_server.calibration.rig import Values
-from veilcam_server.calibration.settling import SETTLED, Settling
 
 PAPER, INK, FAINT, MEASURED, FITTED = "#0f1216", "#e8e6e1", "#7d8790", "#7fd1ae", "#f2a86b"
 
 
 def write_picture(path: Path, found: Calibrated) -> None:
-    """Draw what was measured; raises ``OSError``."""
+    """Draw the curves of a calibration; raises ``OSError``."""
     figure = Figure(figsize=(12, 9.6), facecolor=PAPER, dpi=120)
     curves = figure.add_gridspec(
         2, 2, left=0.06, right=0.97, top=0.87, bottom=0.42, hspace=0.42, wspace=0.16
@@ -42,7 +42,7 @@ def write_picture(path: Path, found: Calibrated) -> None:
     _staircase(figure.add_subplot(curves[0, 1]), found)
     _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", result.measured.lines.rows)
     _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", result.measured.lines.columns)
-    # A pattern is held out; what it shows of the lamp is the point spread function, binned.
+    # Behind a held-out pattern, the lamp shows the binned point spread function.
     top = float(np.max(result.lamp))
     _image(figure.add_subplot(below[0]), "lamp, as read", result.lamp / top)
     _image(
@@ -86,7 +86,7 @@ def _staircase(axes: Axes, found: Calibrated) -> None:
     staircase, response = found.result.measured.staircase, found.result.response
     _styled(axes, f"panel: gamma {response.gamma:.3f}, contrast floor {response.floor:.3f}")
     fine = np.linspace(0, 1, 200)
-    # Lines that do not obey add the same light to every step.
+    # Dead lines add the same light to every step.
     lowest = float(staircase.light[0] - response.light(staircase.weights[:1])[0])
     extra = max(0.0, lowest) if found.record.dead_rows or found.record.dead_columns else 0.0
     axes.plot(fine, (response.light(fine) + extra) / response.scale, color=FITTED, lw=1.2)

@@ -1,4 +1,4 @@
-"""The signed record: written once measured, checked before it is used."""
+"""Records of calibrations: files, signatures, and the camera that follows from one."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from pydantic import ValidationError
 
 from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_optics.camera.imperfections import Imperfections
-from veilcam_server.errors import CalibrationError
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_server.bundles.loader import OpenSource, open_source
+from veilcam_server.calibration.rig import Geometry
+from veilcam_server.errors import CalibrationError, StartError
+from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_training.bundle import Bundle
 
 RECORD_NAME = "calibration.json"
-"""Of the record in the state directory."""
+"""Name of the record in the state directory."""
 AGAIN = "run 'veilcamd calibrate' again"
-"""What helps where a record cannot be used."""
+"""Remedy for a record that cannot be used."""
 
 
 def is_signed(message: bytes, signature: str, public: str) -> bool:
-    """Return whether whoever holds the private half of ``public`` signed ``message``."""
+    """Return whether the private half of the key ``public`` signed ``message``."""
     try:
         key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public))
         key.verify(bytes.fromhex(signature), message)
@@ -31,11 +35,11 @@ def is_signed(message: bytes, signature: str, public: str) -> bool:
 
 
 class RecordFile(StateFile[SignedCalibration]):
-    """A signed record in two copies, each as others read it: its signature is its checksum.
+    """Signed record in two copies. The signature is its checksum.
 
     Args:
         path: path of the record.
-        report: takes what was damaged.
+        report: function that takes damage of the file.
     """
 
     def __init__(self, path: Path, report: Report = log_fault) -> None:
@@ -56,7 +60,7 @@ class RecordFile(StateFile[SignedCalibration]):
 
 
 def imperfections_of(record: CalibrationRecord) -> Imperfections:
-    """Return the camera as measured; the uncertainty of each number stays in the record."""
+    """Return the measured imperfections, without their uncertainties."""
     return Imperfections(
         shift_y=record.shift_y_m.value,
         shift_x=record.shift_x_m.value,
@@ -72,14 +76,14 @@ def imperfections_of(record: CalibrationRecord) -> Imperfections:
 
 
 def sign_record(record: CalibrationRecord, key: Signer) -> SignedCalibration:
-    """Return ``record`` with who vouches for it."""
+    """Return ``record`` with the device's key and signature."""
     return SignedCalibration(
         record=record, public_key=key.public, signature=key.sign(_message(record))
     )
 
 
 def write_record(path: Path, signed: SignedCalibration) -> None:
-    """Replace ``path`` and its copy by a signed record, or leave what was there before.
+    """Replace ``path`` and its copy by a signed record, or leave both as they were.
 
     Raises:
         CalibrationError: it cannot be written.
@@ -92,3 +96,101 @@ def write_record(path: Path, signed: SignedCalibration) -> None:
 
 def _message(record: CalibrationRecord) -> bytes:
     return record.model_dump_json().encode()
+
+
+def open_calibration(
+    settings: Settings, bundle: Bundle, key: Signer, report: Report = log_fault
+) -> SignedCalibration | None:
+    """Return the record that the settings name, or else the one in the state directory, if any.
+
+    A record of the state directory that is lost, or has another signer, is reported. The camera
+    counts as nominal then.
+
+    Args:
+        settings: checked.
+        bundle: bundle whose camera was calibrated.
+        key: key of the device that has to be the signer.
+        report: function that takes damage of the file.
+
+    Raises:
+        StartError: the record is of another camera, or the one that the settings name is lost or
+            has another signer.
+    """
+    path, named = record_path(settings), settings.calibration is not None
+    signed = RecordFile(path, report).read()
+    if signed is None:
+        if named:
+            raise StartError(
+                f"{path} holds no calibration that is whole: run 'veilcamd calibrate' again, or "
+                "give another --calibration"
+            )
+        return None
+    if signed.public_key != key.public:
+        why = f"{path} was signed by another device: {AGAIN}, or give another --calibration"
+        if named:
+            raise StartError(why)
+        report(CalibrationError(why))
+        return None
+    try:
+        check_record(signed.record, settings, bundle)
+    except CalibrationError as error:
+        raise StartError(str(error)) from None
+    return signed
+
+
+def record_path(settings: Settings) -> Path:
+    """Return the path of a daemon's record."""
+    return settings.calibration or settings.state_dir / RECORD_NAME
+
+
+def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) -> None:
+    """Refuse a record of another camera.
+
+    Raises:
+        CalibrationError: a property differs, which the text names with a remedy.
+    """
+    geometry = geometry_of(bundle).digest
+    kind = "simulated" if record.simulated else "real"
+    for what, measured, present in (
+        ("panel", record.display, settings.panel),
+        ("sensor", record.sensor, settings.sensor),
+        ("kind of device", kind, "simulated" if settings.device == "simulated" else "real"),
+        ("panel's tab", record.tab, panel_tab(settings)),
+        ("exposure [s]", record.exposure_s, settings.exposure),
+        ("geometry", record.geometry[:12], geometry[:12]),
+    ):
+        if measured != present:
+            raise CalibrationError(
+                f"the calibration is of another {what}, {measured}, not {present}: run "
+                "'veilcamd calibrate' for this camera, or give another --calibration"
+            )
+
+
+def geometry_of(bundle: Bundle) -> Geometry:
+    """Return the geometry of a bundle's camera; raises :class:`CalibrationError` in colour."""
+    if bundle.channels != 1:
+        raise CalibrationError(
+            "a camera in colour has no calibration: serve a gray bundle, or remove the record"
+        )
+    return Geometry(bundle.camera, bundle.scene, bundle.embedding)
+
+
+def panel_tab(settings: Settings) -> str | None:
+    """Return the tab of the panel; None for a simulated one."""
+    return None if settings.device == "simulated" else settings.panel_tab
+
+
+def source_opener(settings: Settings, signed: SignedCalibration | None) -> OpenSource:
+    """Return an opener of a bundle's masks, with readers for the measured camera."""
+    imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
+    return lambda bundle: open_source(settings, bundle, imperfections)
+
+
+def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:
+    """Return the settling time of the panel, measured or given, whichever is longer [s]."""
+    if signed is None:
+        return settings.settle
+    settling = signed.record.settling_s
+    measured = settling.value + settling.uncertainty
+    # A default is a guess, and gives way to a measurement.
+    return max(measured, settings.settle) if "settle" in settings.model_fields_set else measured

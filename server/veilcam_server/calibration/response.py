@@ -1,16 +1,87 @@
-"""Response of the panel to levels: gamma and contrast floor, from a staircase of levels."""
+"""Response of panel and sensor to the staircase of levels, fitted by least squares."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from veilcam_server.calibration.least_squares import least_squares
 from veilcam_server.calibration.rig import Rig, Values
 from veilcam_server.errors import CalibrationError
 
+_BEGIN, _FACTOR = 1e-3, 10.0
+"""First damping, and the factor of its changes."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fit:
+    """Minimum of the squares, with residuals and Jacobian there."""
+
+    values: Values
+    residuals: Values
+    jacobian: Values
+
+
+def least_squares(
+    residuals: Callable[[Values], Values],
+    jacobian: Callable[[Values], Values],
+    start: Values,
+    *,
+    lowest: float | Values = -math.inf,
+    highest: float | Values = math.inf,
+    tolerance: float = 1e-8,
+    evaluations: int = 100,
+) -> Fit:
+    """Find the values whose residuals have the least squares, near ``start``.
+
+    Args:
+        residuals: function of values (N,) that gives residuals (M,).
+        jacobian: their derivatives, (M, N).
+        start: first values, (N,); those out of bounds begin at the bound.
+        lowest: lower bound of each value.
+        highest: upper bound of each value.
+        tolerance: smallest share by which a step has to lower the squares; the fit ends below it.
+        evaluations: greatest number of evaluations of the residuals.
+    """
+    values = np.clip(start, lowest, highest)
+    found = Fit(values, residuals(values), jacobian(values))
+    damping = _BEGIN
+    for _ in range(evaluations - 1):
+        squares = _squares(found.residuals)
+        tried = np.clip(found.values + _step(found, damping, lowest, highest), lowest, highest)
+        if np.array_equal(tried, found.values):
+            break
+        left = residuals(tried)
+        if _squares(left) < squares:
+            found = Fit(tried, left, jacobian(tried))
+            if squares - _squares(left) <= tolerance * squares:
+                break
+            damping /= _FACTOR
+        else:
+            damping *= _FACTOR
+    return found
+
+
+def _squares(residuals: Values) -> float:
+    return float(residuals @ residuals)
+
+
+def _step(found: Fit, damping: float, lowest: float | Values, highest: float | Values) -> Values:
+    gradient = found.jacobian.T @ found.residuals
+    leaving = np.where(gradient > 0, found.values <= lowest, found.values >= highest)
+    free = ~leaving & (gradient != 0)
+    columns = found.jacobian[:, free]
+    curvature = columns.T @ columns
+    step = np.zeros_like(found.values)
+    scaled = curvature + damping * np.diag(np.diag(curvature))
+    step[free] = np.linalg.lstsq(scaled, -gradient[free], rcond=None)[0]
+    return step
+
+
 STEPS = 16
+"""Number of levels of the staircase."""
 _MISFIT = 0.03
 """Largest residual, over the light of the open panel."""
 
@@ -43,7 +114,7 @@ class Response:
 
 
 def climb(rig: Rig, *, black_level: float) -> Staircase:
-    """Read all steps, in an order that keeps a slow drift out of the curve."""
+    """Measure all steps in random order, so that slow drift does not bend the curve."""
     top = int(np.max(rig.open))
     levels = np.unique(np.linspace(0, top, STEPS).round().astype(int))
     light = np.zeros(len(levels))
@@ -59,12 +130,12 @@ def fit_response(
 
     Args:
         staircase: measurements of a panel that shows the same level everywhere.
-        floor: contrast floor where it is known otherwise, as on a panel with dead lines. Their
-            light is there at every level: then only the light above the lowest step is fitted.
-        floor_uncertainty: uncertainty of that.
+        floor: contrast floor that is known already, as on a panel with dead lines. Dead lines add
+            light to every level, so only the light above the lowest step is fitted then.
+        floor_uncertainty: uncertainty of that floor.
 
     Raises:
-        CalibrationError: the panel's response is another one.
+        CalibrationError: the panel's response is no power law.
     """
     weights, light = staircase.weights, staircase.light
     top = float(np.max(light))
@@ -84,7 +155,7 @@ def fit_response(
         expected = _light(weights, scale, gamma, level)
         shown = weights**gamma
         amplitude = level + (1 - level) * shown
-        # Of level 0, the power has no slope.
+        # The power has no slope at level 0.
         slope = shown * np.log(np.where(weights > 0, weights, 1.0))
         columns = [expected / scale, 2 * scale * amplitude * (1 - level) * slope]
         if floor is None:
@@ -123,7 +194,7 @@ def fit_response(
 
 
 def uncertainties(jacobian: Values, residuals: Values) -> Values:
-    """Return the standard uncertainties of a least-squares fit, its residual taken for noise."""
+    """Return the standard uncertainties of a least-squares fit, with its residual as noise."""
     freedom = max(1, len(residuals) - jacobian.shape[1])
     variance = float(np.sum(residuals**2)) / freedom
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
@@ -131,5 +202,5 @@ def uncertainties(jacobian: Values, residuals: Values) -> Values:
 
 
 def _light(weights: Values, scale: float, gamma: float, floor: float) -> Values:
-    """Sub-pixels that all show one amplitude let its square through."""
+    """Return the light through sub-pixels that all show one amplitude: its square."""
     return scale * (floor + (1 - floor) * weights**gamma) ** 2

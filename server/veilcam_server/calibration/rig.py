@@ -1,4 +1,4 @@
-"""A device in front of something known: scenes that a person sets, patterns shown and read."""
+"""Scenes, patterns and measurements of a calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from veilcam_server.camera.capture import Fence, check_exposure
 from veilcam_server.devices.base import Device, Levels
 
 _LAMP = 7
-"""A lamp takes one part in so many of each side of the scene."""
+"""Side of the scene over side of the lamp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,28 +36,28 @@ class Geometry:
 
 
 _BLOCK = 0.4e-3
-"""Side of the squares of coarse patterns [m]: two embedding pixels, so that a fit finds a mask that
-is that far off."""
+"""Side of the squares of coarse patterns [m]: two embedding pixels, the largest offset that a fit
+finds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Patterns:
-    """Number of measurements of each kind."""
+    """Numbers of patterns of each kind."""
 
     coarse: int = 4
-    """Squares, open or opaque: for the first fit."""
+    """Patterns of open and opaque squares, for the first fit."""
     fine: int = 8
-    """Sub-pixels, open or opaque: for the second."""
+    """Patterns of open and opaque sub-pixels, for the second fit."""
     held_out: int = 3
-    """Sub-pixels of any level, which no fit sees: for the verdict."""
+    """Patterns of sub-pixels of any level, which no fit uses, for the check of its result."""
 
     @property
     def count(self) -> int:
-        """Measurements of one scene; an opaque one is among them."""
+        """Number of measurements of one scene, the opaque one included."""
         return 1 + self.coarse + self.fine + self.held_out
 
     def draw(self, camera: Camera) -> list[Levels]:
-        """Opaque, coarse, fine, held out; the same ones every time."""
+        """Return the opaque, coarse, fine and held-out patterns, the same ones every time."""
         random = np.random.default_rng(1)
         top, (rows, columns) = camera.panel.levels - 1, camera.mask_shape
         high, wide = (
@@ -81,7 +81,7 @@ Values = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Mean of a measurement, and when its light was collected, since the panel's last byte [s]."""
+    """Mean of a measurement; start and end of its exposure since the panel's last byte [s]."""
 
     started: float
     ended: float
@@ -89,15 +89,15 @@ class Moment:
 
 
 class Rig:
-    """Shows patterns and reads. Patterns are no masks: they never come from a key.
+    """Panel and sensor that show patterns and measure. Patterns never come from a key.
 
     Args:
-        device: panel and sensor; it is not closed here.
-        camera: camera whose window patterns are for.
+        device: panel and sensor, which stay open.
+        camera: nominal camera, whose window the patterns fill.
         shape: shape of an embedding.
-        fence: fence that every measurement keeps to, except where settling itself is measured.
+        fence: fence of every measurement, except those of settling itself.
         repeats: exposures for one measurement, which is their mean.
-        advance: called after every exposure.
+        advance: function that is called after every exposure.
         clock: monotonic time [s].
     """
 
@@ -127,20 +127,20 @@ class Rig:
 
     @property
     def opaque(self) -> Levels:
-        """Everything as dark as it gets."""
+        """Pattern of the lowest level."""
         return self.uniform(0)
 
     @property
     def open(self) -> Levels:
-        """Everything as bright as it gets."""
+        """Pattern of the highest level."""
         return self.uniform(self._camera.panel.levels - 1)
 
     def read(self, levels: Levels) -> Values:
-        """Show a pattern, let it settle, and read.
+        """Show a pattern, let it settle, and return its measurement.
 
         Raises:
             DeviceError: panel or sensor failed.
-            FenceError: the measurement cannot be trusted.
+            FenceError: the exposure does not keep to the fence.
         """
         not_before = self._device.display.show(levels).completed_at + self._fence.settle
         measurements = [self._expose(not_before)[0] for _ in range(self._repeats)]
@@ -148,7 +148,7 @@ class Rig:
         return mean
 
     def after(self, levels: Levels, delay: float) -> Moment:
-        """Show a pattern and read ``delay`` [s] later, settled or not."""
+        """Show a pattern, and return its measurement ``delay`` [s] later, settled or not."""
         completed = self._device.display.show(levels).completed_at
         measurement, started, ended = self._expose(completed + delay)
         return Moment(started - completed, ended - completed, float(measurement.mean()))
@@ -162,10 +162,10 @@ class Rig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibrationScene:
-    """A scene that a person can make.
+    """Scene that a person sets up.
 
     Attributes:
-        name: short.
+        name: short name.
         instruction: instruction for a person who sets up the scene.
         image: reflectances of the scene in [0, 1], shape of the scene.
     """
@@ -176,7 +176,7 @@ class CalibrationScene:
 
 
 def dark(scene: Scene) -> CalibrationScene:
-    """No light at all."""
+    """Return the scene of a covered camera."""
     return CalibrationScene(
         "dark",
         "Cover the camera so that no light gets in.",
@@ -185,7 +185,7 @@ def dark(scene: Scene) -> CalibrationScene:
 
 
 def white(scene: Scene) -> CalibrationScene:
-    """Return a card that fills the scene."""
+    """Return the scene of a white card that fills it."""
     height, width = (100 * scene.pixel * count for count in scene.shape)
     return CalibrationScene(
         "white card",
@@ -197,7 +197,7 @@ def white(scene: Scene) -> CalibrationScene:
 
 
 def lamp(scene: Scene) -> CalibrationScene:
-    """Return a small bright square in the middle of the card's place."""
+    """Return the scene of a small bright square in the middle."""
     sides = tuple(_lamp_side(count) for count in scene.shape)
     image = np.zeros(scene.shape, np.float32)
     rows, columns = (
@@ -215,6 +215,6 @@ def lamp(scene: Scene) -> CalibrationScene:
 
 
 def _lamp_side(count: int) -> int:
-    """Pixels of the lamp along a side: even where the scene's are, so that it has a middle."""
+    """Return the lamp's pixels along a side: even where the scene's are, so that it is centred."""
     side = max(1, count // _LAMP)
     return side if side % 2 == count % 2 else side + 1

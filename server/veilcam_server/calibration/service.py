@@ -1,4 +1,4 @@
-"""Calibrations of one camera, one at a time, over the API or from a terminal, and their records."""
+"""Service of calibrations: one at a time, over the API or from a terminal, and their records."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from veilcam_client.wire.events import CalibrationChanged
 from veilcam_optics.transfer.tables import Reach
 from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
-from veilcam_server.calibration.loading import (
+from veilcam_server.calibration.measurements import Budget
+from veilcam_server.calibration.procedure import Calibrated, CancelledError, Run, calibrate
+from veilcam_server.calibration.record import (
     check_record,
     geometry_of,
     panel_tab,
     record_path,
     settle_time,
+    sign_record,
     source_opener,
+    write_record,
 )
-from veilcam_server.calibration.measurements import Budget
-from veilcam_server.calibration.procedure import Calibrated, calibrate
-from veilcam_server.calibration.record import sign_record, write_record
 from veilcam_server.calibration.rig import CalibrationScene, Geometry
-from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
@@ -55,28 +55,28 @@ log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
 
 LONGEST = 3.0
-"""Settling may take so many times what the daemon would grant it without a calibration."""
+"""Longest settling time, over that of the settings."""
 _NO_CAMERA = "there is no panel and no sensor to calibrate: this daemon replays a recording"
 
 
 class OnDevice(Protocol):
-    """Does work on the device's thread."""
+    """Function that does work on the device's thread."""
 
     def __call__(
         self, work: Callable[[], ResultT], *, counted: bool = True
     ) -> Coroutine[Any, Any, ResultT]:
-        """Return what ``work`` returns, and raise what it raises."""
+        """Return the result of ``work``, or raise its exception."""
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A camera that captures are taken with between its calibrations.
+    """Parts of the daemon that a calibration uses.
 
     Attributes:
-        camera: camera whose device is measured, and which goes on with the result.
-        bundles: bundles, of which the one in use is opened anew for the result.
-        on_device: does work on the device's thread.
-        publish: takes every change of a calibration; on any thread.
+        camera: camera that is calibrated, and goes on with the result.
+        bundles: bundles, of which the one in use is opened again with the result.
+        on_device: function that does work on the device's thread.
+        publish: function that takes every change of a calibration, on any thread.
     """
 
     camera: CameraEngine
@@ -86,16 +86,16 @@ class Served:
 
 
 class CalibrationService:
-    """Measures a camera with itself, and keeps what was found.
+    """Calibrations of a camera, and the record in use.
 
-    Whoever has the device to himself calls :meth:`begin`, :meth:`measure`, :meth:`sign` and
-    :meth:`write`, which block. A daemon lives with the rest on one event loop.
+    :meth:`begin`, :meth:`measure`, :meth:`sign` and :meth:`write` block, for a program that owns
+    the device. The other methods are for the event loop of a daemon.
 
     Args:
-        settings: checked.
-        bundle: bundle whose camera it is; None: a recording is replayed, and there is no camera.
-        key: key of the device, which signs records; None: as above.
-        signed: the record in use.
+        settings: settings of the daemon.
+        bundle: bundle of the camera; None where a recording is replayed.
+        key: key of the device, which signs records; None where a recording is replayed.
+        signed: record in use.
     """
 
     def __init__(
@@ -112,18 +112,18 @@ class CalibrationService:
         self._starting = asyncio.Lock()
 
     def begin(self, repeats: int, report: Callable[[CalibrationRun], None]) -> Run:
-        """Return a calibration to measure.
+        """Return a new calibration, before its first measurement.
 
         Args:
             repeats: exposures for one measurement.
-            report: takes every change of it.
+            report: function that takes every change.
 
         Raises:
-            CalibrationError: this camera cannot be measured, or no record be kept.
+            CalibrationError: this camera cannot be calibrated, or no record can be written.
         """
         budget = Budget(repeats=repeats)
         run = Run(budget, budget.captures(self._geometry), report)
-        # What cannot be written should not be found out minutes later.
+        # Checked before minutes of measurements.
         folder = record_path(self._settings).parent
         if not os.access(folder, os.W_OK):
             raise CalibrationError(f"no calibration can be written into {folder}: check it")
@@ -132,10 +132,10 @@ class CalibrationService:
         return run
 
     def measure(self, device: Device, run: Run) -> Calibrated:
-        """Measure a device; it takes minutes.
+        """Calibrate a device, which takes minutes.
 
         Raises:
-            CancelledError: somebody wants it to end.
+            CancelledError: the calibration was cancelled.
             CalibrationError: the camera, its light or the fit is not good enough.
             DeviceError, FenceError: panel or sensor failed.
         """
@@ -143,7 +143,7 @@ class CalibrationService:
 
         def set_scene(scene: CalibrationScene) -> None:
             if scenes is None:
-                # Somebody stands before the camera now, maybe for minutes.
+                # A person may be in front of the camera for minutes.
                 device.display.blank()
                 run.wait_for(scene)
             else:
@@ -170,14 +170,14 @@ class CalibrationService:
                 scenes.hold(None)
 
     def sign(self, record: CalibrationRecord) -> SignedCalibration:
-        """Vouch for a record; raises :class:`CalibrationError` if it is of another camera."""
+        """Sign a record; raises :class:`CalibrationError` if it is of another camera."""
         if self._key is None:
             raise CalibrationError(_NO_CAMERA)
         check_record(record, self._settings, self._bundle)
         return sign_record(record, self._key)
 
     def write(self, signed: SignedCalibration) -> None:
-        """Let the next daemon begin with a record; raises :class:`CalibrationError`."""
+        """Write a record for the next start; raises :class:`CalibrationError`."""
         write_record(record_path(self._settings), signed)
 
     def serve(self, served: Served) -> None:
@@ -186,7 +186,7 @@ class CalibrationService:
 
     @property
     def status(self) -> CalibrationStatus:
-        """The record in use, and how the last calibration goes on."""
+        """Record in use, and state of the last calibration."""
         return CalibrationStatus(
             signed=self._signed, run=None if self._run is None else self._run.state
         )
@@ -197,14 +197,14 @@ class CalibrationService:
             raise CalibratingError
 
     async def start(self, repeats: int) -> CalibrationRun:
-        """Begin to measure the camera that is served.
+        """Begin to calibrate the camera that is served.
 
         Args:
             repeats: exposures for one measurement.
 
         Raises:
-            CalibrationError: this camera cannot be measured, or no record be kept.
-            CalibratingError: it is being measured.
+            CalibrationError: this camera cannot be calibrated, or no record can be written.
+            CalibratingError: a calibration is under way.
             NotReadyError: the daemon is stopping.
         """
         served = self._served
@@ -223,26 +223,26 @@ class CalibrationService:
         return run.state
 
     def confirm(self, scene: SceneName) -> CalibrationRun:
-        """Go on: the scene that is waited for is there.
+        """Confirm a scene, so that the calibration goes on.
 
         Raises:
             NotCalibratingError: no calibration is under way.
-            SceneNotWantedError: another scene is waited for, or none.
+            SceneNotWantedError: another scene is expected, or none.
         """
         return self._under_way().confirm(scene)
 
     async def cancel(self) -> CalibrationRun:
-        """End the calibration under way, and wait until the camera is back.
+        """Cancel the calibration under way, and wait until the camera is back.
 
         Raises:
-            NotCalibratingError: there is none.
+            NotCalibratingError: no calibration is under way.
         """
         run = self._under_way()
         await self.close()
         return run.state
 
     async def close(self) -> None:
-        """Let nothing be under way any more."""
+        """Cancel any calibration, and wait for its end."""
         if self._task is not None and self._run is not None:
             self._run.cancel()
             await asyncio.wait([self._task])
@@ -272,14 +272,14 @@ class CalibrationService:
             if not isinstance(error, ProblemError):
                 log_defect(error, during="calibration")
                 detail = "the daemon has a defect: nothing was changed"
-        # Why no mask is shown, where none is, the state tells.
+        # The state tells why no mask is shown.
         with suppress(Exception):
             await served.on_device(exclusive.close)
         log.info("calibration", outcome=stage, detail=detail)
         run.enter(stage, detail=detail)
 
     async def _adopt(self, served: Served, record: CalibrationRecord) -> None:
-        """Keep a record, and go on with it; or raise, and nothing was changed."""
+        """Write a record and use it, or raise without a change."""
         signed = self.sign(record)
         settle = settle_time(self._settings, signed)
 

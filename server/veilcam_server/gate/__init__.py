@@ -1,1 +1,1 @@
-"""The gate in front of uvicorn: who is let in, how long for, and who has to go for others."""
+"""Gate in front of uvicorn: caps, deadlines and eviction of connections."""

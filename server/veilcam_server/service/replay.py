@@ -64,7 +64,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
         CalibrationService(settings, None, None),
         form=lambda: form,
         raw_budget=status.raw_budget,
-        queue_limit=settings.queue_limit,
+        queue_limit=settings.queue,
         heartbeat=settings.heartbeat,
         held=HeldDirectory(settings.state_dir),
     )

@@ -1,20 +1,31 @@
-"""Listening sockets: those that systemd opened, or else the one that the settings name."""
+"""Listening sockets of the daemon, names of peers, and open files for their connections."""
 
 from __future__ import annotations
 
 import errno
 import ipaddress
 import os
+import resource
 import socket
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import structlog
+
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system.systemd import take_sockets
+
+BACKLOG = 2048
+"""Connections that the kernel keeps, and accepted sockets that wait."""
+RESERVE = 128
+"""Open files that are no connections: state, logs, camera, panel, listening sockets."""
+
+log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,3 +153,38 @@ def _bind_unix(path: Path) -> socket.socket:
         listener.close()
         raise
     return listener
+
+
+def peer_of(address: object) -> str:
+    """Return the name of a peer; a /64 network of IPv6 is one peer.
+
+    Args:
+        address: address as ``socket.accept`` returns it.
+    """
+    if not isinstance(address, tuple):
+        return "local socket"
+    host = ipaddress.ip_address(address[0].partition("%")[0])
+    if isinstance(host, ipaddress.IPv4Address):
+        return str(host)
+    return str(host.ipv4_mapped or ipaddress.ip_network((host, 64), strict=False))
+
+
+def room_for(connections: int) -> tuple[int, int]:
+    """Return the numbers of connections and of waiting sockets that the process has files for.
+
+    This raises the soft limit of open files as far as the hard limit allows.
+
+    Args:
+        connections: number of connections that is asked for.
+    """
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    soft, hard = (sys.maxsize if one == resource.RLIM_INFINITY else one for one in limits)
+    needed = connections + BACKLOG + RESERVE
+    if soft < needed:
+        soft = min(needed, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, limits[1]))
+    free = max(soft - RESERVE, soft // 2)  # of few files, half is for callers
+    granted = min(connections, free * 3 // 4)
+    if granted < connections:
+        log.warning("few files may be open", connections=granted, files=soft)
+    return granted, min(BACKLOG, free - granted)

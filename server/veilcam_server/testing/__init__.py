@@ -1,6 +1,6 @@
-"""Cameras for tests: the daemon's application and its simulator, in this process, without a socket.
+"""Simulated cameras for tests: the daemon and its simulator in this process, on a unix socket.
 
-Needs the extra ``server``. With pytest the fixture ``fake_camera`` is there by itself.
+They need the extra ``server``. pytest finds the fixture ``fake_camera`` by itself.
 
     from veilcam_server.testing import FakeCamera
 

@@ -1,16 +1,18 @@
-"""Camera in this process, which programs of the SDK cannot tell from one on a Raspberry Pi."""
+"""Simulated camera for tests: a daemon in a thread of this process, on a unix socket."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, get_args
 
-import httpx
-from anyio.from_thread import start_blocking_portal
+import uvicorn
+from starlette.types import ASGIApp
 
 from veilcam_client import AsyncCamera, Camera
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
@@ -20,11 +22,11 @@ from veilcam_server.api.app import create_app
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.errors import StartError
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.settings import GivenSettings
 from veilcam_server.system import logs
 from veilcam_server.system.state_file import make_directory
-from veilcam_server.testing.transport import AppTransport, AsyncAppTransport, Door
 
 _PROMPT: Mapping[str, object] = {
     "device": "simulated",
@@ -37,14 +39,14 @@ _PROMPT: Mapping[str, object] = {
 
 
 class FakeCamera:
-    """A whole daemon within a context: gate, tokens, masks, simulated panel and sensor, events.
+    """Whole daemon within a context: tokens, masks, simulated panel and sensor, events.
 
-    It sees a handwritten digit; ``camera().hold_scene(...)`` says what it sees instead, and
-    ``camera().set_faults(...)`` what is wrong with it. It logs as ``logging`` is told to.
+    It sees a handwritten digit; ``camera().hold_scene(...)`` sets another scene, and
+    ``camera().set_faults(...)`` its faults. It logs by the configuration of ``logging``.
 
     Args:
         settings: settings of ``veilcamd serve``, by the names of the environment in lower case, as
-            ``{"auth": "tokens"}``. What the environment says does not count.
+            ``{"auth": "tokens"}``. The environment itself does not count.
 
     Raises:
         ValueError: settings that cannot be (on creation).
@@ -54,7 +56,7 @@ class FakeCamera:
     def __init__(self, settings: Mapping[str, object] | None = None) -> None:
         self._settings = GivenSettings.model_validate({**_PROMPT, **(settings or {})})
         self._stack = ExitStack()
-        self._door: Door | None = None
+        self._url: str | None = None
         self._admission: Admission | None = None
         self._rotation: RotationPolicy = RotationOff()
 
@@ -62,9 +64,9 @@ class FakeCamera:
         with ExitStack() as undo:
             undo.enter_context(logs.within_a_program())
             settings = self._settings
+            folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-fake-")))
             if "state_dir" not in settings.model_fields_set:
-                folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-fake-"))
-                settings = settings.model_copy(update={"state_dir": Path(folder) / "state"})
+                settings = settings.model_copy(update={"state_dir": folder / "state"})
             if not settings.scenes and not settings.scene_file.exists():
                 make_directory(settings.state_dir)
                 write_scene(settings.scene_file, load_digits().images[0])
@@ -72,10 +74,8 @@ class FakeCamera:
             undo.callback(service.stop)
             self._admission = undo.enter_context(open_admission(settings, service.report))
             app = create_app(service, self._admission)
-            portal = undo.enter_context(start_blocking_portal())
-            undo.enter_context(portal.wrap_async_context_manager(app.router.lifespan_context(app)))
-            undo.callback(portal.call, service.end_streams)
-            self._door = Door(app, portal)
+            self._url = undo.enter_context(_served(app, folder / "api.sock"))
+            undo.callback(service.end_streams)
             with self.camera(token=self._any_token) as camera:
                 self._rotation = camera.rotation().policy
             self._stack = undo.pop_all()
@@ -87,16 +87,23 @@ class FakeCamera:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._door = None
+        self._url = None
         self._stack.close()
+
+    @property
+    def url(self) -> str:
+        """URL of the camera; raises :class:`ValueError` outside its context."""
+        if self._url is None:
+            raise ValueError("this camera is off: use it within its context")
+        return self._url
 
     def camera(self, **options: Any) -> Camera:
         """Return a ``Camera`` of this one; ``options`` are those of :class:`Camera`."""
-        return Camera("http://localhost", http_client=self.http_client(), **options)
+        return Camera(self.url, **options)
 
     def async_camera(self, **options: Any) -> AsyncCamera:
         """Return an ``AsyncCamera`` of this one; ``options`` are those of :class:`AsyncCamera`."""
-        return AsyncCamera("http://localhost", http_client=self.async_http_client(), **options)
+        return AsyncCamera(self.url, **options)
 
     def put_back(self) -> None:
         """Undo what tests do most: a scene, faults, another rotation policy, a lease.
@@ -109,18 +116,8 @@ class FakeCamera:
             camera.set_faults(Faults())
             camera.set_rotation(self._rotation)
 
-    def http_client(self) -> httpx.Client:
-        """Return an HTTP client for a ``Camera(http_client=...)`` of one's own."""
-        return httpx.Client(transport=AppTransport(self._open_door), base_url="http://localhost")
-
-    def async_http_client(self) -> httpx.AsyncClient:
-        """Return an HTTP client for an ``AsyncCamera(http_client=...)`` of one's own."""
-        return httpx.AsyncClient(
-            transport=AsyncAppTransport(self._open_door), base_url="http://localhost"
-        )
-
     def token(self, scopes: Sequence[Scope], label: str = "test") -> str:
-        """Secret of a new token; for a camera with ``{"auth": "tokens"}``."""
+        """Return the secret of a new token, for a camera with ``{"auth": "tokens"}``."""
         tokens = None if self._admission is None else self._admission.tokens
         if tokens is None:
             raise ValueError('this camera wants no tokens: FakeCamera({"auth": "tokens"})')
@@ -128,11 +125,31 @@ class FakeCamera:
 
     @property
     def _any_token(self) -> str | None:
-        """One that may do everything, where a token is wanted."""
+        """Token with every scope, where a token is wanted."""
         return self.token(get_args(Scope)) if self._settings.auth == "tokens" else None
 
-    @property
-    def _open_door(self) -> Door:
-        if self._door is None:
-            raise ValueError("this camera is off: use it within its context")
-        return self._door
+
+@contextmanager
+def _served(app: ASGIApp, path: Path) -> Iterator[str]:
+    """Serve an application on a unix socket, in a thread, and yield its URL."""
+    config = uvicorn.Config(
+        app,
+        uds=str(path),
+        http="h11",
+        ws="none",
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=1,
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, name="fake camera")
+    thread.start()
+    try:
+        while thread.is_alive() and not server.started:
+            time.sleep(0.01)
+        if not server.started:
+            raise StartError("the application does not start: its log says why")
+        yield f"unix://{path}"
+    finally:
+        server.should_exit = True
+        thread.join()

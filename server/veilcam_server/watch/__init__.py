@@ -1,1 +1,1 @@
-"""A camera that looks by itself: belief, sightings, hours, and the task that looks."""
+"""Watch: captures that the camera takes by itself, and the sightings that it reports."""

@@ -1,45 +1,88 @@
-"""Bayes filter of what is in front of a camera: one of its classes, or nothing that it knows.
+"""Bayes filter of the scene: one of the classes, or nothing known.
 
-A hidden Markov model in continuous time. State 0 is nothing, 1 to K are what the scene reads as.
+It is a hidden Markov model in continuous time. State 0 is nothing, states 1 to K are the classes.
 
     dp_0/dt = b sum_k p_k - a p_0,
     dp_k/dt = a/K p_0 - (b + c) p_k + c/(K-1) sum_(j != k) p_j                  (prediction)
     p_x <- p_x L_x / sum_y p_y L_y                                              (Bayes' rule)
 
-A capture tells whether it looks like a thing at all (``admitted``), and the classifier's logits z:
+The evidence of a capture is its logits z, and whether it passes the thresholds (``admitted``):
 
     L_0 = f,      L_k = (1 - m) K softmax(z / T)_k        where it was admitted,
     L_0 = 1 - f,  L_k = m                                 where it was not.
 
-A classifier gives p(k | capture, thing); over a prior of 1/K that is K softmax, whose mean over the
-classes is 1. So whether there is a thing is told by the admission alone, and which by the logits.
+A classifier gives p(k | capture, thing). Over a prior of 1/K that is K softmax, whose mean over the
+classes is 1. So the thresholds alone decide whether there is a thing, and the logits decide which.
 
-Captures of one scene are not independent: they share the scene. Both of what that does is in the
-model. A scene that is hard is hard behind every mask: T is larger than the temperature that makes
-the scores of one capture honest, and makes those of a product honest. And a scene may read as
-another class for as long as it stays, which no capture more puts right: with probability e, so that
-what is told of class k is
+Captures of one scene are not independent. The model has two terms for that. A hard scene is hard
+behind every mask: T is the temperature of calibrated scores of a product of captures, larger than
+that of one capture. And with probability e a scene reads as another class as long as it stays:
 
     P(k) = (1 - e) p_k + e/(K-1) sum_(j != k) p_j.
 
-No input, no output, no clock: docs/watch.md has where the numbers come from.
+docs/watch.md has the sources of all numbers.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.calibration import CalibrationRecord
+from veilcam_server.masks.source import Evidence
+
+_DEVIATIONS = 10
+"""Least light, in standard uncertainties of the black level."""
+_TRANSMITTANCE = 1 / 3
+"""Mean transmittance of a mask of uniformly distributed weights."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """Thresholds of captures of a known thing: least light, and largest novelty.
+
+    The defaults are those of the simulated camera; docs/watch.md has their measurements.
+
+    Raises:
+        ValueError: a threshold is not valid.
+    """
+
+    least_light: float = 0.002
+    """Least :attr:`Evidence.light`."""
+    most_novelty: float = 7.0
+    """Largest :attr:`Evidence.novelty`, which a bundle without scene statistics does not have."""
+
+    def __post_init__(self) -> None:
+        for name in ("least_light", "most_novelty"):
+            threshold = getattr(self, name)
+            if not (math.isfinite(threshold) and threshold > 0):
+                raise ValueError(f"{name} = {threshold} is not valid: use a number > 0")
+
+    def admits(self, evidence: Evidence) -> bool:
+        """Return whether a capture looks like one of a thing."""
+        familiar = evidence.novelty is None or evidence.novelty <= self.most_novelty
+        return familiar and evidence.light >= self.least_light
+
+    def calibrated(self, record: CalibrationRecord) -> Thresholds:
+        """Return the thresholds of a camera with a measured black level.
+
+        Args:
+            record: record of its calibration.
+        """
+        unsure = record.black_level.uncertainty / record.gain.value / _TRANSMITTANCE
+        return replace(self, least_light=max(self.least_light, _DEVIATIONS * unsure))
+
+
 Probabilities: TypeAlias = npt.NDArray[np.float64]
-"""Of nothing and of every class, (1 + classes,): they sum to 1."""
+"""Probabilities of nothing and of every class, (1 + classes,); their sum is 1."""
 
 _LEAST = 1e-12
-"""Probability of what is all but impossible."""
+"""Least probability of a state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +90,15 @@ class Dynamics:
     """Rates at which things come and go [1/s]; all greater than zero.
 
     Raises:
-        ValueError: a rate that cannot be.
+        ValueError: a rate is not valid.
     """
 
     arrival: float = 0.1
-    """a: of anything, where there is nothing."""
+    """Rate a, from nothing to anything."""
     departure: float = 0.2
-    """b: of what is there."""
+    """Rate b, from a thing to nothing."""
     exchange: float = 0.05
-    """c: of what is there for something else, between two captures."""
+    """Rate c, from a thing to another thing."""
 
     def __post_init__(self) -> None:
         for name in ("arrival", "departure", "exchange"):
@@ -64,16 +107,16 @@ class Dynamics:
                 raise ValueError(f"{name} = {rate} /s is not valid: use a number > 0")
 
     def prior(self, classes: int) -> Probabilities:
-        """Belief after a long time without a look."""
+        """Return the belief after a long time without a capture."""
         something = self.arrival / (self.arrival + self.departure)
         return np.array([1 - something] + classes * [something / classes])
 
     def predict(self, belief: Probabilities, seconds: float) -> Probabilities:
-        """Return the belief after some time without a look, in closed form.
+        """Return the belief after some time without a capture, in closed form.
 
         Args:
             belief: belief at the start.
-            seconds: since then [s]; 0 or more.
+            seconds: time since then [s]; 0 or more.
         """
         classes = len(belief) - 1
         mixing = self.departure + self.exchange * classes / max(1, classes - 1)
@@ -84,27 +127,27 @@ class Dynamics:
         )
         apart = (belief[1:] - before / classes) * math.exp(-mixing * seconds)
         later = np.concatenate([[1 - something], something / classes + apart])
-        # Rounding must not make anything impossible: Bayes' rule would never believe it again.
+        # A probability that is rounded to zero would stay zero by Bayes' rule.
         kept: Probabilities = np.maximum(later, _LEAST)
         return kept
 
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """Evidence of one capture; docs/watch.md says how each number was measured.
+    """Model of the evidence of one capture; docs/watch.md has the measurement of each number.
 
     Raises:
-        ValueError: a number that cannot be.
+        ValueError: a number is not valid.
     """
 
     temperature: float
-    """T: divides logits."""
+    """Temperature T, which divides logits."""
     missed: float = 0.01
-    """m: that a capture of a thing looks like one of nothing."""
+    """Probability m that a capture of a thing looks like one of nothing."""
     mistaken: float = 0.05
-    """f: that a capture of nothing it knows looks like one of a thing."""
+    """Probability f that a capture of nothing known looks like one of a thing."""
     misread: float = 0.003
-    """e: that a scene reads as another class behind whatever mask."""
+    """Probability e that a scene reads as another class behind every mask."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.temperature) and self.temperature > 0):
@@ -115,10 +158,10 @@ class Sensing:
                 raise ValueError(f"{name} = {share} is not valid: use a number between 0 and 0.5")
 
     def likelihood(self, logits: Sequence[float], *, admitted: bool) -> Probabilities:
-        """L, (1 + classes,); finite, and not all zero.
+        """Return the likelihood L, (1 + classes,); finite, and not all zero.
 
         Args:
-            logits: the classifier's, one for each class.
+            logits: logits of the classifier, one for each class.
             admitted: True where the capture looks like one of a thing.
         """
         classes = len(logits)
@@ -130,7 +173,7 @@ class Sensing:
         return np.concatenate([[self.mistaken], scores])
 
     def told(self, belief: Probabilities) -> Probabilities:
-        """P: what may be said of a belief in what the scene reads as."""
+        """Return the probabilities P of the scene, for a belief in its reading."""
         things = belief[1:]
         if len(things) == 1:
             return belief
@@ -139,13 +182,13 @@ class Sensing:
 
 
 FRESH = Sensing(temperature=1.25, misread=0.003)
-"""For the classifier of all masks, whose bundle comes along."""
+"""Evidence of the demo's classifier for all masks."""
 PAIRS = Sensing(temperature=2.5, misread=0.01)
-"""For classifiers of one mask each, whose bundle comes along."""
+"""Evidence of the demo's classifiers for one mask each."""
 
 
 def fuse(prior: Probabilities, likelihood: Probabilities) -> Probabilities:
-    """Bayes' rule."""
+    """Return the posterior by Bayes' rule."""
     product = prior * likelihood
     belief: Probabilities = product / product.sum()
     return belief

@@ -1,4 +1,4 @@
-"""The watch policy that was set over the API: it outlives the daemon, and so does ``off``."""
+"""Watch policy that was set over the API, kept over restarts, and its quiet hours."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from veilcam_server.system.state_file import Report, StateFile, log_fault
 class _SetPolicy(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
     record: Literal["watch"] = "watch"
-    """Tells it from a record of another policy."""
+    """Kind of the record."""
     policy: WatchPolicy
     given: WatchPolicy
-    """Of the daemon's settings at the time."""
+    """Policy of the daemon's settings at the time."""
 
 
 class WatchStore:
-    """``DIRECTORY/watch.json``: what was set holds until a start with another setting.
+    """Store of the watch policy, which holds until a start with another setting.
 
     Args:
-        directory: the daemon's state directory.
+        directory: state directory of the daemon.
         given: watch policy of its settings.
-        report: takes what was damaged.
+        report: function that takes damage of the file.
     """
 
     def __init__(self, directory: Path, given: WatchPolicy, report: Report = log_fault) -> None:
@@ -41,9 +41,9 @@ class WatchStore:
         )
 
     def at_start(self) -> WatchPolicy:
-        """Read the policy from now on; off, where the setting was lost.
+        """Return the policy of this start; off where the stored one was lost.
 
-        Nobody who switched a camera off shall find that a broken disk switched it on.
+        So a broken disk switches no camera on that was switched off.
         """
         record = self._file.read()
         if record is None:
@@ -51,9 +51,9 @@ class WatchStore:
         return record.policy if record.given == self._given else self._given
 
     def set(self, policy: WatchPolicy) -> None:
-        """Make a policy hold after a restart, too; raises :class:`WatchStoreError`."""
+        """Keep a policy over restarts; raises :class:`WatchStoreError`."""
         record = _SetPolicy(policy=policy, given=self._given)
-        # A full disk keeps nobody from switching a camera off.
+        # A camera can be switched off with a full disk, too.
         off = isinstance(policy, WatchOff)
         what = "the camera is off until a restart" if off else "the one before goes on"
         try:
@@ -66,15 +66,14 @@ class WatchStore:
 
 
 def resting(policy: WatchPolicy, now: datetime, *, sure: bool = True) -> str | None:
-    """Return why the panel is opaque at a time by the clock on the wall; None: it need not be.
+    """Return the reason for an opaque panel at a local time; None if there is no reason.
 
-    Each moment is judged by what that clock shows: an hour that comes twice in a night of autumn is
-    quiet both times if it is, and one that spring leaves out is none.
+    An hour that comes twice in autumn is quiet both times, and an hour that spring skips never is.
 
     Args:
         policy: policy of the watch.
-        now: time of day.
-        sure: True where quiet hours may go by the clock.
+        now: local time.
+        sure: True where the clock is synchronised or trusted.
     """
     if isinstance(policy, WatchOff):
         return "the camera is switched off"

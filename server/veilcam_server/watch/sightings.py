@@ -1,4 +1,4 @@
-"""Sightings: few events of many captures, as a belief changes, and a short history."""
+"""Sightings: few events of many captures, fused into a belief, and a short history."""
 
 from __future__ import annotations
 
@@ -9,37 +9,38 @@ from typing import Literal
 
 import numpy as np
 
-from veilcam_server.watch.belief import Probabilities
+from veilcam_server.masks.source import Evidence
+from veilcam_server.watch.belief import FRESH, PAIRS, Dynamics, Probabilities, Thresholds, fuse
 
 SEEN, GONE = 0.6, 0.05
-"""Probabilities from which on a thing is said to be there, and to be there no longer."""
+"""Probability from which a thing is reported as seen, and below which it is reported as gone."""
 _HINT = 0.2
-"""Probability from which on something is taken note of, to say later since when it was there."""
+"""Probability from which the time of a thing's first capture is remembered."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Something that was there."""
+    """Thing in front of the camera, now or in the past."""
 
     label: str
     confidence: float
-    """The highest while it was there."""
+    """Highest probability of the thing."""
     since: float
-    """Of the first capture that told of it, on the watch's clock [s]."""
+    """Time of its first capture, on the watch's clock [s]."""
     until: float | None = None
-    """None: it is there still."""
+    """Time of its end [s]; None while it is there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Something appeared, or went."""
+    """Arrival or departure of a thing."""
 
     kind: Literal["seen", "gone"]
     label: str
     confidence: float | None
-    """Probability that it is there, or that it is there no longer; None: nobody looks any more."""
+    """Probability of the arrival or the departure; None where the camera stopped looking."""
     duration: float
-    """How long it has been there [s]."""
+    """Time since its first capture [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,32 +48,32 @@ class Leader:
     """Most probable state."""
 
     label: str | None
-    """None: nothing that is known."""
+    """Label of the class; None for nothing known."""
     confidence: float
     since: float
-    """Of the first capture that told of it, on the watch's clock [s]."""
+    """Time of the first capture of this state, on the watch's clock [s]."""
     looks: int
-    """Captures since, that one included."""
+    """Captures since then, that one included."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Hint:
-    """Something that may be there."""
+    """First capture of a state, and the number of captures since."""
 
     since: float
     looks: int
 
 
 class Sightings:
-    """Follows a belief. A thing is told of once when it comes, and once when it goes.
+    """Changes and history of a belief: one change when a thing comes, and one when it goes.
 
     Args:
-        length: sights that are remembered.
+        length: number of sights in the history.
     """
 
     def __init__(self, length: int) -> None:
         self.leader: Leader | None = None
-        """None: nothing is believed, as nobody looks."""
+        """Most probable state; None where the camera does not look."""
         self._there: Sight | None = None
         self._hints: dict[str | None, _Hint] = {}
         self._past: deque[Sight] = deque(maxlen=length)
@@ -80,12 +81,12 @@ class Sightings:
 
     @property
     def history(self) -> tuple[Sight, ...]:
-        """The last ones, newest first."""
+        """Last sights, newest first."""
         now = () if self._there is None else (self._there,)
         return (*now, *reversed(self._past))[: self._length]
 
     def follow(self, told: Probabilities, labels: Sequence[str], at: float) -> list[Change]:
-        """Take note of a belief after a capture, and return what changed.
+        """Follow a belief after a capture, and return its changes.
 
         Args:
             told: probabilities of nothing and of every class.
@@ -118,7 +119,7 @@ class Sightings:
         return changes
 
     def stop(self, at: float) -> list[Change]:
-        """Believe nothing any more, as nobody looks; return what was told of and is no longer."""
+        """Forget the belief, as the camera stops looking, and return the changes."""
         self.leader, self._hints, there = None, {}, self._there
         return [] if there is None else [self._end(there, at, None)]
 
@@ -126,3 +127,54 @@ class Sightings:
         self._there, until = None, max(at, there.since)
         self._past.append(replace(there, until=until))
         return Change("gone", there.label, confidence, until - there.since)
+
+
+class Fusion:
+    """Fusion of captures, one after the other, into a belief and its changes.
+
+    Args:
+        thresholds: thresholds of captures of a thing.
+        dynamics: rates at which things come and go.
+        length: number of sights in the history.
+    """
+
+    def __init__(self, thresholds: Thresholds, dynamics: Dynamics, length: int) -> None:
+        self._thresholds, self._dynamics = thresholds, dynamics
+        self._sightings = Sightings(length)
+        self._belief: Probabilities | None = None
+        self._labels: tuple[str, ...] = ()
+        self._last = 0.0
+
+    @property
+    def leader(self) -> Leader | None:
+        """Most probable state; None where the camera does not look."""
+        return self._sightings.leader
+
+    @property
+    def history(self) -> tuple[Sight, ...]:
+        """Last sights, newest first."""
+        return self._sightings.history
+
+    def take(self, evidence: Evidence, at: float) -> list[Change]:
+        """Fuse the evidence of a capture, and return the changes.
+
+        Args:
+            evidence: evidence of the capture.
+            at: time of the capture, in order [s].
+        """
+        changes = self.stop() if evidence.labels != self._labels else []
+        self._labels = evidence.labels
+        if self._belief is None:
+            prior = self._dynamics.prior(len(self._labels))
+        else:
+            prior = self._dynamics.predict(self._belief, max(0.0, at - self._last))
+        sensing = PAIRS if evidence.novelty is None else FRESH
+        admitted = self._thresholds.admits(evidence)
+        self._belief = fuse(prior, sensing.likelihood(evidence.logits, admitted=admitted))
+        self._last = at
+        return changes + self._sightings.follow(sensing.told(self._belief), self._labels, at)
+
+    def stop(self) -> list[Change]:
+        """Forget the belief, as the camera stops looking, and return the changes."""
+        self._belief = None
+        return self._sightings.stop(self._last)

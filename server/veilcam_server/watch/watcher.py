@@ -1,4 +1,4 @@
-"""The watch: captures by itself, fuses what they tell, and says what changed."""
+"""Watch: captures by the camera itself, and events of the changes that they show."""
 
 from __future__ import annotations
 
@@ -30,29 +30,27 @@ from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system.clock import MachineClock
 from veilcam_server.system.state_file import Report
-from veilcam_server.watch.admission import Admission
-from veilcam_server.watch.belief import Dynamics
-from veilcam_server.watch.fusion import Fusion
+from veilcam_server.watch.belief import Dynamics, Thresholds
 from veilcam_server.watch.policy import WatchStore, resting
-from veilcam_server.watch.sightings import Change, Sight
+from veilcam_server.watch.sightings import Change, Fusion, Sight
 
 TICK = 0.5
-"""Between two looks at the clock on the wall, where there are quiet hours [s]."""
+"""Period of checks of the clock where there are quiet hours [s]."""
 _SOON = 0.05
-"""After which a look that gave way to a caller is tried again [s]."""
+"""Time until a capture that gave way to a caller is tried again [s]."""
 _PATIENCE = 3
-"""Periods, and seconds at least, that looks may be missing before nothing is believed any more."""
+"""Longest time without a capture before the belief is forgotten, in periods or seconds."""
 
 ResultT = TypeVar("ResultT")
 
 
 class OnDevice(Protocol):
-    """Does work on the device's thread."""
+    """Function that does work on the device's thread."""
 
     def __call__(
         self, work: Callable[[], ResultT], *, counted: bool = True
     ) -> Coroutine[Any, Any, ResultT]:
-        """Return what ``work`` returns, and raise what it raises."""
+        """Return the result of ``work``, or raise its exception."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +59,10 @@ class Watched:
 
     Attributes:
         camera: camera whose panel is opaque while it does not look.
-        on_device: does work on the device's thread.
-        look: takes one capture, of which nothing leaves, and returns what it tells.
-        busy: function that says whether a caller waits for the device.
-        publish: takes events.
+        on_device: function that does work on the device's thread.
+        look: function that takes a capture, of which nothing leaves, and returns its evidence.
+        busy: function that tells whether a caller waits for the device.
+        publish: function that takes events.
     """
 
     camera: CameraEngine
@@ -82,8 +80,8 @@ class WatchSetup:
         policy: policy of the watch.
         store: store of the policy.
         clock: clock of the quiet hours.
-        rests: why the panel is opaque already; None: it is not.
-        admission: test of a capture: does it look like one of a thing.
+        rests: reason for a panel that is opaque already, or None.
+        thresholds: thresholds of captures of a thing.
         dynamics: rates at which things come and go.
     """
 
@@ -91,22 +89,22 @@ class WatchSetup:
     store: WatchStore
     clock: MachineClock = field(default_factory=lambda: MachineClock(trusted=True))
     rests: str | None = None
-    admission: Admission = Admission()  # noqa: RUF009 - immutable
+    thresholds: Thresholds = Thresholds()  # noqa: RUF009 - immutable
     dynamics: Dynamics = Dynamics()  # noqa: RUF009 - immutable
 
 
 def open_watch(
     settings: Settings, calibration: SignedCalibration | None, report: Report
 ) -> WatchSetup:
-    """Return what the watch of a daemon starts with.
+    """Return the setup of a daemon's watch.
 
     Args:
-        settings: checked.
-        calibration: calibration in force, which says how dark it is without light.
-        report: takes what was damaged in the state directory.
+        settings: settings of the daemon.
+        calibration: calibration in force, whose black level the thresholds follow.
+        report: function that takes damage of the state directory.
     """
     store = WatchStore(settings.state_dir, settings.watch_policy, report)
-    policy, admission = store.at_start(), Admission()
+    policy, thresholds = store.at_start(), Thresholds()
     # A simulated camera has nothing to hide.
     clock = MachineClock(trusted=settings.trust_clock or settings.device == "simulated")
     return WatchSetup(
@@ -114,18 +112,18 @@ def open_watch(
         store,
         clock,
         rests=resting(policy, clock.now(), sure=clock.sure()),
-        admission=admission if calibration is None else admission.calibrated(calibration.record),
+        thresholds=thresholds if calibration is None else thresholds.calibrated(calibration.record),
     )
 
 
 class Watcher:
-    """Looks when it is due, and remembers labels alone. Lives on one event loop.
+    """Captures when they are due, the belief, and the history of labels, on one event loop.
 
     Args:
         setup: settings to start with.
         watched: parts of the daemon to use.
         clock: monotonic time [s].
-        now: time of day, with its zone; by default that of the setup's clock.
+        now: local time with its zone; by default that of the setup's clock.
     """
 
     def __init__(
@@ -140,14 +138,14 @@ class Watcher:
         self._now = now or setup.clock.now
         self.policy, self._rests = setup.policy, setup.rests
         self.leased: Callable[[], bool] = lambda: False
-        """Whether somebody holds the camera for himself."""
+        """Function that tells whether a caller holds the lease."""
         self._changing = asyncio.Lock()
-        self._fusion = Fusion(setup.admission, setup.dynamics, MOST_SIGHTINGS)
+        self._fusion = Fusion(setup.thresholds, setup.dynamics, MOST_SIGHTINGS)
         self._looks, self._due, self._last = 0, clock(), clock()
         self._activity, self._detail = self._planned()
 
     def state(self) -> Watch:
-        """Return whether the camera looks, and what it believes to see."""
+        """Return the activity, the belief and the history."""
         clock, now = self._clock(), datetime.now(UTC)
         leader = self._fusion.leader
 
@@ -183,11 +181,11 @@ class Watcher:
         )
 
     async def set_policy(self, policy: WatchPolicy) -> Watch:
-        """Change when the camera looks, also after a restart.
+        """Set the policy, also for after a restart.
 
         Raises:
-            WatchStoreError: that cannot be made durable; the policy before goes on, unless the
-                camera was to be switched off: that holds until a restart.
+            WatchStoreError: the policy cannot be stored, and the one before goes on. Only ``off``
+                holds all the same, until a restart.
             DisplayError: the panel does not become opaque, which is tried again.
         """
         async with self._changing:
@@ -209,7 +207,7 @@ class Watcher:
         return self.state()
 
     def rest_due_in(self) -> float:
-        """Seconds until it is due to see whether the panel is to be opaque, or not any more."""
+        """Return the seconds until :meth:`rest` is due."""
         if self._reason() != self._rests:
             return 0.0
         hours = None if isinstance(self.policy, WatchOff) else self.policy.quiet
@@ -224,16 +222,16 @@ class Watcher:
                 self._enter(*self._planned())
 
     def look_due_in(self) -> float:
-        """Seconds until a look is due; inf: it does not look by itself."""
+        """Return the seconds until :meth:`look` is due; inf if it never is."""
         if not isinstance(self.policy, Watching) or self._rests is not None:
             return math.inf
         return max(0.0, self._due - self._clock())
 
     async def look(self) -> None:
-        """Take a capture, or give way to who is to have the camera first.
+        """Take a capture, or give way to a caller.
 
         Raises:
-            ProblemError: the camera took none.
+            ProblemError: the capture failed.
         """
         policy, began = self.policy, self._clock()
         if not isinstance(policy, Watching):
@@ -252,7 +250,7 @@ class Watcher:
             except ProblemError as error:
                 self._miss(0.0, "waiting", str(error))
                 raise
-            # What was switched off in the meantime has not looked.
+            # A capture does not count where the policy changed meanwhile.
             if self.policy is policy and self._reason() is None:
                 self._due = max(self._due + period, self._clock())
                 self._last, self._looks = began, self._looks + 1
@@ -260,7 +258,7 @@ class Watcher:
                 self._tell(self._fusion.take(evidence, began))
 
     def _miss(self, seconds: float, activity: Activity, detail: str) -> None:
-        """Look again so much later; believe nothing more once too many looks are missing."""
+        """Try again after some time; forget the belief once too many captures are missing."""
         self._due = self._clock() + seconds
         missing = self._clock() - self._last
         if missing > _PATIENCE * max(1.0, self._period):
@@ -271,7 +269,7 @@ class Watcher:
         return 1 / self.policy.rate_hz if isinstance(self.policy, Watching) else math.inf
 
     async def _settle(self) -> None:
-        """Let the panel be as policy and clock want it."""
+        """Make the panel opaque or not, by policy and clock."""
         reason = self._reason()
         if reason == self._rests:
             return
@@ -280,7 +278,7 @@ class Watcher:
         if reason is not None:
             await self._watched.on_device(lambda: camera.rest(reason))
         else:
-            # Why no mask is shown, the state tells, and it is tried again.
+            # The state tells why no mask is shown, and it is tried again.
             with suppress(ProblemError):
                 await self._watched.on_device(camera.wake)
             self._due = self._last = self._clock()
@@ -289,7 +287,7 @@ class Watcher:
         return resting(self.policy, self._now(), sure=self._setup.clock.sure())
 
     def _planned(self) -> tuple[Activity, str | None]:
-        """Return the activity where nothing is in the way, and why."""
+        """Return the activity by policy and clock, and its reason."""
         if isinstance(self.policy, WatchOff):
             return "off", self._reason()
         if (reason := self._reason()) is not None:
@@ -297,7 +295,7 @@ class Watcher:
         return ("looking" if isinstance(self.policy, Watching) else "on_request"), None
 
     def _enter(self, activity: Activity, detail: str | None = None, *, told: bool = False) -> None:
-        """Do something else from now on; what was believed is forgotten unless it looks."""
+        """Change the activity; the belief is forgotten unless the camera looks."""
         before, self._activity, self._detail = self._activity, activity, detail
         if activity != "looking":
             self._tell(self._fusion.stop())
@@ -312,7 +310,7 @@ class Watcher:
 
 
 def _event(change: Change) -> Callable[..., Event]:
-    """Return the maker of the event of a change."""
+    """Return the function that makes the event of a change."""
     label, confidence, lasted = change.label, change.confidence, change.duration
     if change.kind == "seen":
         return partial(Seen, label=label, confidence=confidence, duration_s=lasted)

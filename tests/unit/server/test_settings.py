@@ -105,8 +105,23 @@ def test_tls_costs_memory_for_each_connection() -> None:
     assert (settings.connections, settings.streams) == (512, 256)
     settings = settings.model_copy(update=tls)
     assert (settings.connections, settings.streams) == (128, 64)
-    assert settings.model_copy(update={"connection_limit": 500}).connections == 500
-    assert settings.model_copy(update={"stream_limit": 99}).streams == 99
+
+
+@pytest.mark.parametrize("callers", [1, 2, 16, 1024])
+@pytest.mark.parametrize("tls", [{}, {"tls_certificate": Path("c"), "tls_key": Path("k")}])
+def test_limits_follow_the_number_of_callers(callers: int, tls: dict[str, Any]) -> None:
+    settings = Settings(bundle=Path("a.veilcam"), callers=callers, **tls)
+    assert callers < settings.connections <= 4096
+    assert 1 <= settings.caller_streams <= settings.streams < settings.connections
+    assert 1 < settings.queue < settings.connections
+    assert settings.concurrency < settings.connections or callers == 1024
+    assert settings.burst > settings.rate > 0
+
+
+def test_limits_by_default_are_those_of_the_documentation() -> None:
+    settings = Settings(bundle=Path("a.veilcam"))
+    assert (settings.rate, settings.burst, settings.concurrency) == (100.0, 200, 64)
+    assert (settings.caller_streams, settings.queue) == (16, 8)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
@@ -126,19 +141,10 @@ def test_this_machine_is_served(host: str) -> None:
         ("self_test_every", 0.0),
         ("self_test_every", 3601.0),
         ("self_test_every", float("inf")),
-        ("queue_limit", 0),
         ("heartbeat", 0.0),
         ("auth", "sometimes"),
-        ("rate_limit", 0.0),
-        ("rate_burst", 0),
-        ("concurrency_limit", 0),
-        ("stream_limit", 0),
-        ("caller_stream_limit", 0),
-        ("upload_limit", 0),
-        ("caller_upload_limit", 65),
-        ("connection_limit", 7),
-        ("header_timeout", 0.0),
-        ("body_timeout", float("inf")),
+        ("callers", 0),
+        ("callers", 1025),
         ("log_level", "loud"),
         ("release", "everything"),
         ("release", "flat"),
@@ -297,27 +303,6 @@ CONTRADICTIONS: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
         ("unix socket", "--tls-certificate", "needs no TLS"),
     ),
     ({"owner_keys": Path("k"), "allow_older": True}, ("--owner-keys", "--allow-older")),
-    ({"stream_limit": 40, "connection_limit": 40}, ("--stream-limit 40", "--connection-limit")),
-    ({"stream_limit": 512}, ("--stream-limit 512 leaves nothing of 512",)),
-    (
-        {"caller_stream_limit": 9, "stream_limit": 8},
-        ("--caller-stream-limit 9", "--stream-limit 8"),
-    ),
-    (
-        {"caller_stream_limit": 65},
-        ("--caller-stream-limit 65", "--concurrency-limit 64"),
-    ),
-    ({"caller_upload_limit": 5}, ("--caller-upload-limit 5", "--upload-limit 4")),
-    (
-        {"caller_upload_limit": 3, "concurrency_limit": 2},
-        ("--caller-upload-limit 3", "--concurrency-limit 2"),
-    ),
-    ({"concurrency_limit": 600}, ("--concurrency-limit 600", "--connection-limit 512")),
-    (
-        {"upload_limit": 9, "connection_limit": 8},
-        ("--upload-limit 9", "--connection-limit 8"),
-    ),
-    ({"queue_limit": 513}, ("--queue-limit 513", "--connection-limit 512")),
 )
 
 
@@ -343,11 +328,6 @@ def test_settings_that_contradict_each_other_are_refused_by_their_names(
         {"data_line": 7},
         {"data_line": 10, "spi": Path("/dev/spidev1.0")},
         {"data_line": 10, "gpio_chip": "mine"},
-        # Defaults give way.
-        {"connection_limit": 8},
-        {"stream_limit": 511},
-        {"concurrency_limit": 1, "upload_limit": 1, "stream_limit": 1},
-        {"caller_stream_limit": 8, "stream_limit": 8},
     ],
 )
 def test_settings_that_only_just_fit_are_taken(given: dict[str, Any]) -> None:

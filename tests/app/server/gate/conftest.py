@@ -1,4 +1,4 @@
-"""A server behind the gate, a clock that can be put on, and those who knock."""
+"""Server behind the gate, a clock that can be put on, and clients."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import pytest
 import uvicorn
 from starlette.types import Message, Receive, Scope, Send
 
-from veilcam_server.gate.connections import Connections
-from veilcam_server.gate.protocol import Deadlines
-from veilcam_server.gate.server import Gate, GateServer
+from veilcam_server.gate.protocol import Connections
+from veilcam_server.gate.server import GateServer
 
-PATIENT = Deadlines(headers=600.0, body=600.0)
+PATIENCE = 600.0
+"""Deadline that no test comes to [s]."""
 ENOUGH = 30.0
 """What is awaited happens long before [s]."""
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
@@ -106,8 +106,10 @@ def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
         *,
         limit: int = 8,
         waiting: int = 64,
-        deadlines: Deadlines = PATIENT,
+        headers: float = PATIENCE,
+        body: float = PATIENCE,
         tls: ssl.SSLContext | None = None,
+        listening: type[socket.socket] = socket.socket,
     ) -> AsyncIterator[Behind]:
         async def app(scope: Scope, receive: Receive, send: Send) -> None:
             await behind.app(scope, receive, send)
@@ -121,9 +123,9 @@ def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
             ssl_context_factory=None if tls is None else lambda *_: tls,
             timeout_keep_alive=10_000,
         )
-        connections = Connections(limit)
-        server = GateServer(config, Gate(connections, deadlines, waiting))
-        with socket.socket() as listener:
+        connections = Connections(limit, waiting, headers, body)
+        server = GateServer(config, connections)
+        with listening() as listener:
             listener.bind(("127.0.0.1", 0))
             behind = Behind(connections, server, listener.getsockname())
             loop = asyncio.get_running_loop()

@@ -8,21 +8,19 @@ import socket
 import pytest
 from tests.app.server.gate.conftest import POST, REQUEST, SLOW, Behind, Serving, heard, is_served
 
-from veilcam_server.api.middleware import security_headers
 from veilcam_server.gate import protocol
-from veilcam_server.gate.protocol import PORTION, Deadlines
+from veilcam_server.gate.protocol import PORTION
+from veilcam_server.security.headers import security_headers
 
 pytestmark = pytest.mark.anyio
 
 ENDING = 60.0
 """Of each deadline: more than a test takes on any machine, so that the clock is put on [s]."""
-HASTY = Deadlines(headers=ENDING, body=100 * ENDING)
-HUNGRY = Deadlines(headers=100 * ENDING, body=ENDING)
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HT", REQUEST[:-2]])
 async def test_headers_that_do_not_come_in_time(serving: Serving, said: bytes) -> None:
-    async with serving(deadlines=HASTY) as behind:
+    async with serving(headers=ENDING) as behind:
         one = behind.knock(said)
         await behind.until(lambda: len(behind.connections))
         assert await _dribbles_in_vain(behind, one) == "headers"
@@ -33,7 +31,7 @@ async def test_headers_of_a_second_request_have_their_own_time(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(protocol, "READING_TIME", 100 * ENDING)
-    async with serving(deadlines=HASTY) as behind:
+    async with serving(headers=ENDING) as behind:
         one = behind.knock(REQUEST)
         assert await is_served(one)
         # Idle for longer than headers may take.
@@ -45,7 +43,7 @@ async def test_headers_of_a_second_request_have_their_own_time(
 
 
 async def test_dribbled_body_reaches_nobody(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         one = behind.knock(POST % 1000)
         await behind.until(lambda: len(behind.connections))
         assert await _dribbles_in_vain(behind, one) == "body"
@@ -53,7 +51,7 @@ async def test_dribbled_body_reaches_nobody(serving: Serving) -> None:
 
 
 async def test_long_body_that_moves_on_may_take_long(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         loop, size = asyncio.get_running_loop(), 20 * PORTION
         one = behind.knock(POST % size)
         for _ in range(19):
@@ -66,7 +64,7 @@ async def test_long_body_that_moves_on_may_take_long(serving: Serving) -> None:
 
 
 async def test_long_body_that_stops_is_ended(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         one = behind.knock(POST % (20 * PORTION) + b"a" * 2 * PORTION)
         await behind.until(lambda: behind.asked)
         assert await _dribbles_in_vain(behind, one) == "body"
@@ -74,7 +72,7 @@ async def test_long_body_that_stops_is_ended(serving: Serving) -> None:
 
 
 async def test_body_that_the_application_does_not_read_ends_nobody(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         loop, size = asyncio.get_running_loop(), 40 * PORTION
         one = behind.knock((POST % size).replace(b"/", b"/late", 1))
         sending = asyncio.create_task(loop.sock_sendall(one, b"a" * size))
@@ -88,7 +86,7 @@ async def test_body_that_the_application_does_not_read_ends_nobody(serving: Serv
 
 
 async def test_rest_of_a_body_that_is_answered_already(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         size = 20 * PORTION
         one = behind.knock((POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
         assert await is_served(one)
@@ -96,7 +94,7 @@ async def test_rest_of_a_body_that_is_answered_already(serving: Serving) -> None
 
 
 async def test_connection_goes_on_after_the_rest_of_a_body(serving: Serving) -> None:
-    async with serving(deadlines=HUNGRY) as behind:
+    async with serving(body=ENDING) as behind:
         size = 2 * PORTION
         one = behind.knock((POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
         assert await is_served(one)
@@ -106,7 +104,7 @@ async def test_connection_goes_on_after_the_rest_of_a_body(serving: Serving) -> 
 
 
 async def test_work_may_take_longer_than_all_deadlines(serving: Serving) -> None:
-    async with serving(limit=2, deadlines=Deadlines(ENDING, ENDING)) as behind:
+    async with serving(limit=2, headers=ENDING, body=ENDING) as behind:
         one = behind.knock(SLOW)
         await behind.until(lambda: behind.asked)
         await behind.let_pass(10 * ENDING)
@@ -235,3 +233,16 @@ async def test_call_with_a_broken_body_is_named_in_the_answer(serving: Serving) 
         answer = await heard(second)
         assert answer.startswith(b"HTTP/1.1 400")
         assert b"veilcam-call" not in answer.lower()
+
+
+async def test_body_that_breaks_after_its_answer_ends_the_connection_without_a_line(
+    serving: Serving, caplog: pytest.LogCaptureFixture
+) -> None:
+    head = b"POST /deaf HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n"
+    async with serving() as behind:
+        one = behind.knock(head + b"%x\r\n" % PORTION + b"a" * PORTION + b"\r\n")
+        assert await is_served(one)
+        one.sendall(b"no number\r\n")
+        assert await heard(one) == b""
+        await behind.until(lambda: not len(behind.connections))
+    assert not caplog.records

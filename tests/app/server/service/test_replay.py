@@ -254,6 +254,6 @@ def test_recording_is_played_as_it_is(given: dict[str, Any], option: str) -> Non
 
 
 def test_recording_wants_tokens_and_may_be_limited() -> None:
-    made = Settings.model_validate({"replay": "recording.jsonl", "port": 0, "rate_limit": 3.0})
+    made = Settings.model_validate({"replay": "recording.jsonl", "port": 0, "callers": 3})
     assert made.auth == "tokens"
     assert made.redacted()["replay"] == "given"

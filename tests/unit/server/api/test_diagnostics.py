@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import httpx
 import pytest
@@ -22,7 +23,7 @@ from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.diagnostics import CHECKUP_EVERY, Checkups
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.doctor.checkup import Finding
-from veilcam_server.gate.connections import Connections
+from veilcam_server.gate.protocol import Connections, GateProtocol
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.settings import Settings
@@ -91,9 +92,9 @@ async def behind_a_gate(bench: Bench, connections: Connections) -> AsyncIterator
 
 
 async def test_metrics_count_connections(bench: Bench) -> None:
-    connections = Connections(1)
+    connections = Connections(1, 0, 600.0, 600.0)
     for _ in range(3):
-        connections.enter("a")
+        connections.enter(Mock(GateProtocol, peer="a"))
     async with behind_a_gate(bench, connections) as client:
         counted = samples((await client.get("/v1/metrics")).text)
     assert counted["veilcam_open_connections", ""] == 1
@@ -145,7 +146,7 @@ async def test_metrics_are_named_as_prometheus_wants_it(running: Running) -> Non
 
 
 async def test_every_metric_is_documented_and_no_other(bench: Bench) -> None:
-    async with behind_a_gate(bench, Connections(1)) as client:
+    async with behind_a_gate(bench, Connections(1, 0, 600.0, 600.0)) as client:
         text = (await client.get("/v1/metrics")).text
     told = set(re.findall(r"^# TYPE (veilcam_\w+)", text, re.MULTILINE))
     rows = re.findall(r"^\| (`veilcam_.*) \| (?:gauge|counter|histogram) \|", API, re.MULTILINE)
@@ -222,7 +223,7 @@ async def test_settings_are_told_without_what_could_be_secret(
         "tls_certificate": tmp_path / planted,
         "tls_key": tmp_path / planted,
         "rotation": {"mode": "captures", "captures": 77},
-        "queue_limit": 5,
+        "callers": 5,
     }
     settings = Settings.model_validate(given)
     with open_admission(settings) as admission:
@@ -235,7 +236,7 @@ async def test_settings_are_told_without_what_could_be_secret(
     assert set(told) == set(Settings.model_fields)
     assert told["tls_key"] == told["host"] == "given"
     assert told["device"] == "simulated"
-    assert told["queue_limit"] == 5
+    assert told["callers"] == 5
     assert told["socket"] is None
     rotation = told["rotation"]
     assert isinstance(rotation, dict)

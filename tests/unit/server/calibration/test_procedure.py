@@ -14,8 +14,8 @@ import torch
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_server.calibration.measurements import SETTLED
 from veilcam_server.calibration.record import imperfections_of
-from veilcam_server.calibration.settling import SETTLED
 from veilcam_server.devices.corrected import CalibratedSensor
 from veilcam_server.devices.simulated.device import Conditions
 from veilcam_server.errors import CalibrationError

@@ -14,11 +14,12 @@ from tests.unit.server.damage import DAMAGES
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_server.calibration.loading import open_calibration, settle_time
 from veilcam_server.calibration.record import (
     RECORD_NAME,
     RecordFile,
     imperfections_of,
+    open_calibration,
+    settle_time,
     sign_record,
     write_record,
 )

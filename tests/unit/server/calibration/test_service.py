@@ -22,11 +22,10 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.measurements import Budget
-from veilcam_server.calibration.procedure import Calibrated
+from veilcam_server.calibration.procedure import Calibrated, CancelledError, Run
+from veilcam_server.calibration.record import open_calibration
 from veilcam_server.calibration.rig import CalibrationScene, dark, lamp, white
-from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.devices import Device, DisplayError

@@ -1,4 +1,4 @@
-"""What a calibration service measures with, and where it keeps what was found."""
+"""Scenes and record of a calibration service without a daemon."""
 
 from __future__ import annotations
 

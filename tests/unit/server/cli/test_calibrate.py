@@ -21,9 +21,8 @@ from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.decoding import Precision, read_frame
 from veilcam_server.calibration import service as calibration_service
-from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import RecordFile, imperfections_of
+from veilcam_server.calibration.record import RecordFile, imperfections_of, open_calibration
 from veilcam_server.calibration.rig import CalibrationScene, Geometry, dark, lamp, white
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.cli import calibration_session

@@ -16,7 +16,7 @@ from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.bundles.loader import bundle_info, release_terms
-from veilcam_server.calibration.loading import geometry_of
+from veilcam_server.calibration.record import geometry_of
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Terms

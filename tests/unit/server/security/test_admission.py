@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -306,25 +307,17 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
     settings = Settings(
         bundle=tmp_path / "a.veilcam",
         state_dir=tmp_path / "state",
-        rate_limit=1e-6,
-        rate_burst=2,
-        concurrency_limit=3,
-        stream_limit=4,
-        caller_stream_limit=1,
-        upload_limit=3,
-        caller_upload_limit=1,
+        callers=1,
     )
     with open_admission(settings) as admission, ExitStack() as stack:
-        admission.rate.take("a")
-        admission.rate.take("a")
         with pytest.raises(RateLimitError):
-            admission.rate.take("a")
+            deque(map(admission.rate.take, 1000 * ["a"]))
         for limit, most, error in (
-            (admission.concurrency, 3, TooManyRequestsError),
-            (admission.streams, 4, TooManyStreamsError),
-            (admission.streams_of_one, 1, TooManyStreamsOfOneError),
-            (admission.uploads, 3, TooManyUploadsError),
-            (admission.uploads_of_one, 1, TooManyUploadsOfOneError),
+            (admission.concurrency, settings.concurrency, TooManyRequestsError),
+            (admission.streams, settings.streams, TooManyStreamsError),
+            (admission.streams_of_one, settings.caller_streams, TooManyStreamsOfOneError),
+            (admission.uploads, 4, TooManyUploadsError),
+            (admission.uploads_of_one, 2, TooManyUploadsOfOneError),
         ):
             for name in ("b", *most * "a"):
                 stack.enter_context(limit.held(name))

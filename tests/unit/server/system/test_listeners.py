@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
 from pathlib import Path
 
@@ -11,7 +12,14 @@ import pytest
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system import listeners
-from veilcam_server.system.listeners import open_listeners, require_free
+from veilcam_server.system.listeners import (
+    BACKLOG,
+    RESERVE,
+    open_listeners,
+    peer_of,
+    require_free,
+    room_for,
+)
 
 
 def test_listener_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
@@ -104,3 +112,63 @@ def test_place_that_is_free_is_left_free(
         # What systemd passes comes first, so the settings' own place is nobody's concern.
         monkeypatch.setenv("LISTEN_FDS", "1")
         require_free(occupied)
+
+
+@pytest.mark.parametrize(
+    ("address", "peer"),
+    [
+        (("192.0.2.1", 1), "192.0.2.1"),
+        (("2001:db8:1:2:3::4", 1, 0, 0), "2001:db8:1:2::/64"),
+        (("2001:db8:1:2:ffff::", 1, 0, 0), "2001:db8:1:2::/64"),
+        (("fe80::1%eth0", 1, 0, 2), "fe80::/64"),
+        (("::ffff:192.0.2.1", 1, 0, 0), "192.0.2.1"),
+        ("", "local socket"),
+        (b"\0abstract", "local socket"),
+    ],
+)
+def test_peer_is_named_by_its_address(address: object, peer: str) -> None:
+    assert peer_of(address) == peer
+
+
+class Limits:
+    def __init__(self, soft: int, hard: int) -> None:
+        self.soft, self.hard = soft, hard
+
+    def get(self, _: int) -> tuple[int, int]:
+        return self.soft, self.hard
+
+    def set(self, _: int, limits: tuple[int, int]) -> None:
+        self.soft, self.hard = limits
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "room", "raised"),
+    [
+        (8192, 8192, (256, BACKLOG), 8192),
+        (1024, 524288, (256, BACKLOG), 256 + BACKLOG + RESERVE),
+        (1024, resource.RLIM_INFINITY, (256, BACKLOG), 256 + BACKLOG + RESERVE),
+        (resource.RLIM_INFINITY, resource.RLIM_INFINITY, (256, BACKLOG), -1),
+        (1024, 1024, (256, 1024 - RESERVE - 256), 1024),
+        (256, 256, (96, 32), 256),
+        (100, 100, (37, 13), 100),
+    ],
+)
+def test_room_follows_the_limits_of_open_files(
+    monkeypatch: pytest.MonkeyPatch, soft: int, hard: int, room: tuple[int, int], raised: int
+) -> None:
+    limits = Limits(soft, hard)
+    monkeypatch.setattr(resource, "getrlimit", limits.get)
+    monkeypatch.setattr(resource, "setrlimit", limits.set)
+    assert room_for(256) == room
+    assert (limits.soft, limits.hard) == (raised, hard)
+
+
+def test_room_that_is_less_than_asked_for_is_logged(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", Limits(256, 256).get)
+    monkeypatch.setattr(resource, "setrlimit", Limits(256, 256).set)
+    room_for(96)
+    assert "few files" not in capsys.readouterr().out
+    room_for(97)
+    assert "few files may be open" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Who comes in when there are many at the door, and what TLS may cost."""
+"""Turns of peers, eviction, and TLS of connections that begin."""
 
 from __future__ import annotations
 
@@ -7,69 +7,55 @@ import errno
 import gc
 import socket
 import ssl
+import subprocess
+import sys
+import textwrap
 from asyncio.sslproto import SSLProtocol
-from collections import Counter
 from pathlib import Path
 
 import pytest
 from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Serving, heard, is_served
 from tests.app.server.security.test_tls import write_pair
 
-from veilcam_server.gate import entrance
-from veilcam_server.gate.entrance import Entrance, WaitingRoom
-from veilcam_server.gate.protocol import Deadlines
+from veilcam_server.gate import server
 from veilcam_server.security.tls import server_context
 
 pytestmark = pytest.mark.anyio
 
 
-class Waiting:
-    def __init__(self, capacity: int) -> None:
-        self.inside: Counter[str] = Counter()
-        self.room = WaitingRoom(capacity, lambda peer: self.inside[peer])
-        self.sockets: dict[str, socket.socket] = {}
-
-    def put(self, name: str) -> bool:
-        """Let one wait, of the peer that the first letter names."""
-        self.sockets[name] = socket.socket()
-        return self.room.put(name[0], self.sockets[name])
-
-    def take(self) -> str:
-        peer, taken = self.room.take()
-        [name] = [name for name, one in self.sockets.items() if one is taken]
-        assert name[0] == peer
-        taken.close()
-        return name
-
-    def gone(self) -> list[str]:
-        return [name for name, one in self.sockets.items() if one.fileno() < 0]
+def knock(behind: Behind, *names: str) -> dict[str, socket.socket]:
+    """Ask for a path of each name, from the peer that its first letter names."""
+    return {
+        name: behind.knock(
+            REQUEST.replace(b"/", f"/{name}".encode(), 1), f"127.0.0.{ord(name[0]) - 90}"
+        )
+        for name in names
+    }
 
 
-def test_peers_take_turns() -> None:
-    waiting = Waiting(10)
-    for name in ("a1", "a2", "a3", "a4", "b1", "c1", "c2"):
-        assert waiting.put(name)
-    assert [waiting.take() for _ in range(7)] == ["a1", "b1", "c1", "a2", "c2", "a3", "a4"]
-    assert len(waiting.room) == 0
-    assert not waiting.room.drop()
+async def test_peers_take_turns(serving: Serving) -> None:
+    async with serving(limit=64) as behind:
+        knock(behind, "a1", "a2", "a3", "a4", "b1", "c1", "c2")
+        await behind.until(lambda: len(behind.asked) == 7)
+        assert "".join(behind.asked) == "/a1/b1/c1/a2/c2/a3/a4"
 
 
-def test_peer_with_fewest_connections_comes_first() -> None:
-    waiting = Waiting(10)
-    waiting.inside.update(a=3, b=1, c=3)
-    for name in ("a1", "a2", "b1", "b2", "c1", "d1"):
-        waiting.put(name)
-    assert [waiting.take() for _ in range(3)] == ["d1", "b1", "b2"]
-    assert [waiting.take() for _ in range(3)] == ["a1", "c1", "a2"]
+async def test_peer_with_fewest_connections_comes_first(serving: Serving) -> None:
+    async with serving(limit=64) as behind:
+        knock(behind, "a", "a", "a", "b", "c", "c", "c")
+        await behind.until(lambda: len(behind.asked) == 7)
+        knock(behind, "a1", "a2", "b1", "b2", "c1", "d1")
+        await behind.until(lambda: len(behind.asked) == 13)
+        assert "".join(behind.asked[7:]) == "/d1/b1/b2/a1/c1/a2"
 
 
-def test_peer_with_most_loses_its_oldest_where_too_many_wait() -> None:
-    waiting = Waiting(3)
-    assert all(waiting.put(name) for name in ("b1", "a1", "a2"))
-    assert not waiting.put("a3")
-    assert not waiting.put("a4")
-    assert waiting.gone() == ["a1", "a2"]
-    assert [waiting.take() for _ in range(3)] == ["b1", "a3", "a4"]
+async def test_peer_with_most_loses_its_oldest_where_too_many_wait(serving: Serving) -> None:
+    async with serving(limit=64, waiting=3) as behind:
+        clients = knock(behind, "b1", "a1", "a2", "a3", "a4")
+        await behind.until(lambda: len(behind.asked) == 3)
+        assert "".join(behind.asked) == "/b1/a3/a4"
+        assert [await heard(clients[name]) for name in ("a1", "a2")] == [b"", b""]
+        assert behind.connections.dropped == {"evicted": 2}
 
 
 @pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
@@ -88,7 +74,7 @@ async def test_crowd_pushes_out_nobody_else(serving: Serving) -> None:
     async with serving(limit=8) as behind:
         # Slow, but honest, and older than all others.
         slow = behind.knock(REQUEST[:-2], "127.0.0.2")
-        await behind.until(lambda: behind.connections.of("127.0.0.2"))
+        await behind.until(lambda: behind.connections.of["127.0.0.2"])
         idle = behind.knock(REQUEST, "127.0.0.3")
         assert await is_served(idle)
         for _ in range(50):
@@ -114,7 +100,7 @@ async def test_new_connection_is_refused_where_all_is_work(serving: Serving) -> 
 async def test_more_may_wait_than_come_in_at_once(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(entrance, "BATCH", 3)
+    monkeypatch.setattr(server, "BATCH", 3)
     async with serving(limit=64, waiting=1) as behind:
         # All in the queue of the kernel before the first is accepted.
         crowd = [behind.knock(REQUEST) for _ in range(7)]
@@ -174,7 +160,7 @@ async def test_peers_sent_away_take_no_memory(serving: Serving, tls: ssl.SSLCont
 async def test_handshake_that_takes_too_long(
     serving: Serving, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with serving(tls=tls, deadlines=Deadlines(headers=0.2, body=600.0)) as behind:
+    async with serving(tls=tls, headers=0.2) as behind:
         assert await heard(behind.knock()) == b""
         assert behind.connections.dropped["handshake"] == 1
         assert not len(behind.connections)
@@ -182,6 +168,8 @@ async def test_handshake_that_takes_too_long(
 
 
 class Broken(socket.socket):
+    """Listener that fails three times."""
+
     def __init__(self) -> None:
         super().__init__()
         self.errors = [errno.EMFILE, errno.ENOMEM, errno.EMFILE]
@@ -196,33 +184,31 @@ async def test_accept_that_fails_is_tried_again_after_a_pause(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pauses: list[float] = []
-    async with serving() as behind:
+    async with serving(listening=Broken) as behind:
         loop = asyncio.get_running_loop()
         before = loop.call_later
-        monkeypatch.setattr(entrance, "PAUSE", 0.01)
+        monkeypatch.setattr(server, "PAUSE", 0.01)
 
         def later(delay: float, *rest: object) -> asyncio.TimerHandle:
             pauses.append(delay)
             return before(delay, *rest)  # type: ignore[arg-type]
 
         monkeypatch.setattr(loop, "call_later", later)
-        with Broken() as listener:
-            listener.bind(("127.0.0.1", 0))
-            other = Entrance(
-                [listener],
-                behind.connections,
-                behind.server._protocol,
-                tls=None,
-                handshake=1.0,
-                waiting=8,
-            )
-            other.open()
-            behind.address = listener.getsockname()
-            assert await is_served(behind.knock(REQUEST))
-            other.close()
+        assert await is_served(behind.knock(REQUEST))
         assert behind.connections.failures == 3
         assert pauses.count(0.01) == 3
     assert capsys.readouterr().out.count("connection not accepted") == 1
+
+
+async def test_connection_is_evicted_where_no_file_is_left(serving: Serving) -> None:
+    async with serving(limit=64, listening=Broken) as behind:
+        behind.server._listeners[0].errors.clear()  # type: ignore[attr-defined]
+        clients = [behind.knock(REQUEST[:-2]) for _ in range(3)]
+        await behind.until(lambda: len(behind.connections) == 3)
+        behind.server._listeners[0].errors.append(errno.EMFILE)  # type: ignore[attr-defined]
+        assert await is_served(behind.knock(REQUEST))
+        assert await heard(clients[0]) == b""
+        assert behind.connections.dropped == {"evicted": 1}
 
 
 async def test_waiting_connection_is_sent_away_when_the_gate_closes(serving: Serving) -> None:
@@ -238,3 +224,51 @@ async def test_waiting_connection_is_sent_away_when_the_gate_closes(serving: Ser
             assert await heard(one) == b""
         behind.go.set()
         assert await is_served(working)
+
+
+PROGRAM = """
+    import resource, signal, socket
+    import uvicorn
+    from veilcam_server.gate.protocol import Connections
+    from veilcam_server.gate.server import GateServer
+
+    async def app(scope, receive, send):
+        await receive()
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"ok"})
+
+    resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
+    listener = socket.create_server(("127.0.0.1", 0))
+    print(listener.getsockname()[1], flush=True)
+    config = uvicorn.Config(app, http="h11", ws="none", lifespan="off", log_config=None)
+    # uvicorn raises it again once all has ended.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    # More than there are files: what was reserved is used up by somebody else.
+    connections = Connections(1000, 1000, 600, 600)
+    GateServer(config, connections).run([listener])
+    print(connections.failures, connections.dropped["evicted"], flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_process_without_files_serves() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(PROGRAM)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        address = ("127.0.0.1", int(process.stdout.readline()))
+        crowd = [socket.create_connection(address) for _ in range(60)]
+        for one in crowd:
+            one.sendall(b"GET")
+        with socket.create_connection(address, timeout=60) as client:
+            client.sendall(b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
+            assert client.recv(100).startswith(b"HTTP/1.1 200")
+        process.terminate()
+        said = process.stdout.read()
+        for one in crowd:
+            one.close()
+    lines = said.splitlines()
+    assert sum("connection not accepted" in line for line in lines) == 1
+    failures, evicted = map(int, lines[-1].split())
+    assert failures >= 1
+    assert evicted >= 20

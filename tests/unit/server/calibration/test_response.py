@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from scipy import optimize
 
-from veilcam_server.calibration.least_squares import Fit, least_squares
+from veilcam_server.calibration.response import Fit, least_squares
 
 Values = npt.NDArray[np.float64]
 

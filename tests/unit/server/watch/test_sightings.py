@@ -1,4 +1,4 @@
-"""Few events of many captures."""
+"""Sightings: few events of many captures."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import pytest
 from tests.unit.server.watch.conftest import LABELS, Look
 
 from veilcam_server.masks.source import Evidence
-from veilcam_server.watch.admission import Admission
-from veilcam_server.watch.belief import Dynamics
-from veilcam_server.watch.fusion import Fusion
-from veilcam_server.watch.sightings import GONE, SEEN, Change
+from veilcam_server.watch.belief import Dynamics, Thresholds
+from veilcam_server.watch.sightings import GONE, SEEN, Change, Fusion
 
 
 def run(
@@ -27,7 +25,7 @@ def run(
 
 @pytest.fixture
 def fusion() -> Fusion:
-    return Fusion(Admission(), Dynamics(), 4)
+    return Fusion(Thresholds(), Dynamics(), 4)
 
 
 def told(changes: list[tuple[float, Change]]) -> list[tuple[float, str, str, float]]:
@@ -60,7 +58,7 @@ def test_one_look_that_sees_something_else_changes_nothing(
 ) -> None:
     assert len(run(fusion, map(look, 4 * ["a"]))) == 1
     assert run(fusion, map(look, [blink, *4 * ["a"]]), begin=2.0) == []
-    assert run(Fusion(Admission(), Dynamics(), 4), map(look, [*4 * [None], "b", None])) == []
+    assert run(Fusion(Thresholds(), Dynamics(), 4), map(look, [*4 * [None], "b", None])) == []
 
 
 def test_look_like_no_thing_is_nothing_however_sure_the_classifier(
@@ -96,7 +94,7 @@ def test_classes_of_another_bundle_begin_anew(fusion: Fusion, look: Look) -> Non
 def test_bundle_without_statistics_of_scenes_is_believed_less(look: Look) -> None:
     confidences = []
     for novelty in (1.0, None):
-        fusion = Fusion(Admission(), Dynamics(), 4)
+        fusion = Fusion(Thresholds(), Dynamics(), 4)
         run(fusion, 6 * [look("a", novelty=novelty)])
         assert fusion.leader is not None
         confidences.append(fusion.leader.confidence)
@@ -120,7 +118,7 @@ def test_slow_looks_forget_in_between(fusion: Fusion, look: Look) -> None:
     fusion.take(look("b"), 3600.0)
     assert fusion.leader is not None
     later = fusion.leader.confidence
-    fresh = Fusion(Admission(), Dynamics(), 4)
+    fresh = Fusion(Thresholds(), Dynamics(), 4)
     fresh.take(look("b"), 0.0)
     assert fresh.leader is not None
     assert later == pytest.approx(fresh.leader.confidence)
