@@ -1,24 +1,23 @@
-"""The camera for asyncio."""
+"""The camera as a program sees it, for asyncio."""
 
 from __future__ import annotations
 
 import asyncio
-import copy
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, Self, TypeVar
 
-from veilcam_client.camera import KeySource, opened, opener_of
 from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
-from veilcam_client.http.answers import RawResponse, raw_response
+from veilcam_client.http.answers import RawResponse, kept_answers, raw_response
 from veilcam_client.http.async_streams import AsyncEventStream
 from veilcam_client.http.async_transport import AsyncHttpClient, AsyncTransport
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.http.options import Options, RetryPolicy, address, follow_environment
+from veilcam_client.keys.opening import KeySource, opened, opener_of
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.wire.captures import Capture, Classification
@@ -42,7 +41,39 @@ ResultT = TypeVar("ResultT")
 
 
 class AsyncCamera:
-    """:class:`Camera` for asyncio: the same arguments, methods and results."""
+    """One connection to a ``veilcamd`` for asyncio.
+
+    While another holds the camera, a method raises ``LeasedError`` at once. Those that take
+    ``wait=`` wait so long for the lease to end [s], before their ``timeout`` begins.
+
+    Repetitions stand in the log ``veilcam`` of ``logging``; ``VEILCAM_LOG=debug`` shows every
+    request on the terminal.
+
+    Args:
+        url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket; that in ``VEILCAM_URL`` if
+            None, else that of a daemon on this machine.
+        timeout: time-out of a call with repetitions and their pauses [s]; None: no limit. Every
+            method takes one of its own.
+        connect_timeout: time-out of a connection to the daemon [s].
+        read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
+        max_retries: number of repetitions of a request that may succeed later.
+        key: private key of a receiver, or its file: embeddings come opened, each with its notes,
+            and one that is not sealed to it, or that came before or later than the next one of its
+            mask, raises ``SealedError``. So ask for one after the other.
+        device: public key of the camera, 64 hexadecimal digits, as ``veilcam receiver add`` prints
+            it; that of the first embedding that is opened if None.
+        token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over
+            https, unix sockets, and http to this machine, nowhere else.
+        ca_file: PEM file of the authority that vouches for an https daemon; that in
+            ``VEILCAM_CA_FILE`` if None, else those that the system trusts.
+        http_client: an ``httpx.AsyncClient`` to use instead of an own one; it is not closed. Where
+            such a client is not for asyncio, a deadline is asked for between two pieces alone.
+
+    Raises:
+        ArgumentError: an argument that cannot be used; the message names it. Every method raises
+            it, too, also where the camera is closed. It is a ``ValueError``.
+        KeyFileError: a key's file that cannot be used.
+    """
 
     def __init__(
         self,
@@ -80,7 +111,14 @@ class AsyncCamera:
 
     @classmethod
     async def discover(cls, seconds: float = 3.0) -> tuple[FoundCamera, ...]:
-        """Cameras that announce themselves, as :meth:`Camera.discover` finds them."""
+        """Cameras that announce themselves on the local network; none is asked or told anything.
+
+        Args:
+            seconds: time to listen [s].
+
+        Raises:
+            DiscoveryError: the extra ``discover`` is not installed, or there is no network.
+        """
         return await asyncio.to_thread(discover, seconds)
 
     async def close(self) -> None:
@@ -118,7 +156,7 @@ class AsyncCamera:
     async def capture(
         self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> Capture:
-        """Take one embedding, as :meth:`Camera.capture` does."""
+        """Take one embedding; ``np.asarray`` of the result is the array, if ``key`` opens it."""
         return opened(await self._transport.send(calls.CAPTURE, timeout, wait=wait), self._opener)
 
     async def classify(
@@ -220,7 +258,13 @@ class AsyncCamera:
         after: str | None = None,
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Tokens:
-        """Return tokens, as :meth:`Camera.tokens` does."""
+        """Return tokens, the oldest first, revoked and expired ones included.
+
+        Args:
+            limit: greatest number of tokens.
+            after: id of the token after which others are wanted, as ``next`` of an answer names it.
+            timeout: time-out of the call in all [s].
+        """
         return await self._transport.send(calls.tokens(limit, after), timeout)
 
     async def create_token(
@@ -265,7 +309,13 @@ class AsyncCamera:
     async def add_receiver(
         self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> PairedReceiver:
-        """Seal to one receiver more, as :meth:`Camera.add_receiver` does."""
+        """Seal to one receiver more, from the next mask on.
+
+        Args:
+            label: label for people; it stands in the status and in the audit log.
+            key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
+            timeout: time-out of the call in all [s].
+        """
         return await self._transport.send(calls.add_receiver(label, str(key)), timeout)
 
     async def remove_receiver(
@@ -277,13 +327,23 @@ class AsyncCamera:
     async def hold_scene(
         self, picture: npt.ArrayLike | bytes | None, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> HeldScene:
-        """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""
+        """Hold a picture up before a simulated camera that allows it; None takes it away.
+
+        Args:
+            picture: the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or ``.npy`` file, or an array
+                (rows, columns) or (rows, columns, 3), uint8, or floats in [0, 1].
+            timeout: time-out of the call in all [s].
+        """
         if picture is None:
             return await self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
         return await self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
 
     async def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
-        """Break a simulated camera, or mend it, as :meth:`Camera.set_faults` does."""
+        """Break a simulated camera that allows it; ``Faults()`` mends it.
+
+        Returns:
+            What is wrong with it from now on.
+        """
         return await self._transport.send(calls.set_faults(faults), timeout)
 
     async def bundles(
@@ -324,67 +384,25 @@ class AsyncCamera:
     def events(
         self, *, last_event_id: str | None = None, reconnect: bool = True
     ) -> AsyncEventStream:
-        """Events as they happen, as :meth:`Camera.events` gives them."""
+        """Events as they happen; a context, or a loop that ends when the stream is closed.
+
+        It is opened again by itself when it breaks, after the last event; a ``Gap`` tells of missed
+        ones.
+
+        Args:
+            last_event_id: go on after this event; None: from now on.
+            reconnect: True: a broken stream is opened again; False: the error is raised.
+        """
         return AsyncEventStream(self._transport, last_event_id, reconnect)
 
-    @property
-    def with_raw_response(self) -> _RawCamera:
-        """The same methods, with the answer as it came, as :attr:`Camera.with_raw_response`."""
-        return _RawCamera(self)
+    async def raw(
+        self, method: Callable[P, Awaitable[ResultT]], *args: P.args, **options: P.kwargs
+    ) -> RawResponse[ResultT]:
+        """Return the answer to a method as it came, beside its result.
 
-
-class _RawMethod(Generic[P, ResultT]):
-    """A method of :class:`AsyncCamera` that returns the answer as it came."""
-
-    def __init__(self, method: Callable[Concatenate[AsyncCamera, P], Awaitable[ResultT]]) -> None:
-        self._method = method
-
-    def __get__(
-        self, raw: _RawCamera, kind: type[_RawCamera]
-    ) -> Callable[P, Awaitable[RawResponse[ResultT]]]:
-        async def ask(*args: P.args, **options: P.kwargs) -> RawResponse[ResultT]:
-            camera = copy.copy(raw.camera)
-            camera._transport = transport = raw.camera._transport.for_one_caller()  # noqa: SLF001
-            result = await self._method(camera, *args, **options)
-            return raw_response(transport.last, result)
-
-        return ask
-
-
-class _RawCamera:
-    """Methods of :class:`AsyncCamera` that return answers as they came."""
-
-    def __init__(self, camera: AsyncCamera) -> None:
-        self.camera: AsyncCamera = camera
-
-    status: Final = _RawMethod(AsyncCamera.status)
-    calibration: Final = _RawMethod(AsyncCamera.calibration)
-    start_calibration: Final = _RawMethod(AsyncCamera.start_calibration)
-    confirm_scene: Final = _RawMethod(AsyncCamera.confirm_scene)
-    cancel_calibration: Final = _RawMethod(AsyncCamera.cancel_calibration)
-    capture: Final = _RawMethod(AsyncCamera.capture)
-    classify: Final = _RawMethod(AsyncCamera.classify)
-    rotation: Final = _RawMethod(AsyncCamera.rotation)
-    set_rotation: Final = _RawMethod(AsyncCamera.set_rotation)
-    rotate: Final = _RawMethod(AsyncCamera.rotate)
-    watch: Final = _RawMethod(AsyncCamera.watch)
-    set_watch: Final = _RawMethod(AsyncCamera.set_watch)
-    take_lease: Final = _RawMethod(AsyncCamera.take_lease)
-    release_lease: Final = _RawMethod(AsyncCamera.release_lease)
-    break_lease: Final = _RawMethod(AsyncCamera.break_lease)
-    lease_state: Final = _RawMethod(AsyncCamera.lease_state)
-    diagnostics: Final = _RawMethod(AsyncCamera.diagnostics)
-    tokens: Final = _RawMethod(AsyncCamera.tokens)
-    create_token: Final = _RawMethod(AsyncCamera.create_token)
-    revoke_token: Final = _RawMethod(AsyncCamera.revoke_token)
-    log: Final = _RawMethod(AsyncCamera.log)
-    log_head: Final = _RawMethod(AsyncCamera.log_head)
-    receivers: Final = _RawMethod(AsyncCamera.receivers)
-    add_receiver: Final = _RawMethod(AsyncCamera.add_receiver)
-    remove_receiver: Final = _RawMethod(AsyncCamera.remove_receiver)
-    hold_scene: Final = _RawMethod(AsyncCamera.hold_scene)
-    set_faults: Final = _RawMethod(AsyncCamera.set_faults)
-    bundles: Final = _RawMethod(AsyncCamera.bundles)
-    install_bundle: Final = _RawMethod(AsyncCamera.install_bundle)
-    activate_bundle: Final = _RawMethod(AsyncCamera.activate_bundle)
-    remove_bundle: Final = _RawMethod(AsyncCamera.remove_bundle)
+        ``camera.raw(camera.classify, timeout=9)`` has the status, the headers and the content;
+        its ``parse()`` is the method's result.
+        """
+        with kept_answers() as kept:
+            result = await method(*args, **options)
+        return raw_response(kept, result)

@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from veilcam_client.arguments import of_type, whole
-from veilcam_client.camera import KeySource, opener_of, receiver_key
 from veilcam_client.errors import ArgumentError, RecordingError
+from veilcam_client.keys.opening import KeySource, opener_of, receiver_key
 from veilcam_client.wire.base import Answer
 from veilcam_client.wire.captures import Capture, SealedEmbedding
 from veilcam_client.wire.measurements import Measured, MeasurementsHeader

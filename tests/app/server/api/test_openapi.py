@@ -98,7 +98,7 @@ def test_operations_are_called_as_the_sdk_calls_them(found: dict[str, Any]) -> N
     assert len(set(ids)) == len(ids)
     asked = {name for name in vars(Camera) if not name.startswith("_")}
     # What is no request of its own, or one of two ways to ask the same.
-    assert asked - set(ids) == {"close", "discover", "with_raw_response", "lease", "break_lease"}
+    assert asked - set(ids) == {"close", "discover", "raw", "lease", "break_lease"}
     assert set(ids) - asked == {
         *("page", "docs", "page_file", "healthz", "readyz", "metrics", "openapi", "doctor"),
         *("session", "begin_session", "end_session", "take_scene_away"),

@@ -78,7 +78,7 @@ def test_fake_camera_sees_the_scene_held_up_without_a_socket(
         assert found == [str(label) for label in digits.labels[:5]]
         capture = camera.capture()
         assert np.asarray(capture).shape == camera.status().bundle.embedding_shape
-        assert camera.with_raw_response.status().request_id
+        assert camera.raw(camera.status).request_id
 
 
 async def ask(fake: FakeCamera) -> tuple[str, list[str | None]]:

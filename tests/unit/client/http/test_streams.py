@@ -127,7 +127,10 @@ async def test_silence_of_a_stream_is_not_health(
     clock = SimpleNamespace(monotonic=lambda: sum(both.waits))
     monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
     both.daemon.first = [events(event(0)), events(event(1), event(2))]
-    both.daemon.first[1:1] = [httpx.Response(200, stream=Silent()) for _ in range(9)]
+    headers = {"Content-Type": "text/event-stream"}
+    both.daemon.first[1:1] = [
+        httpx.Response(200, stream=Silent(), headers=headers) for _ in range(9)
+    ]
     assert await both(lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
     pauses = [pause for pause in both.waits if pause != STREAM_SILENCE]
     assert pauses[-1] >= 15

@@ -330,12 +330,12 @@ async def test_raw_answer_names_its_request(both: Both) -> None:
         httpx.ConnectError("refused"),
         httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
     ]
-    raw = await both(lambda camera: camera.with_raw_response.classify(timeout=9))
+    raw = await both(lambda camera: camera.raw(camera.classify, timeout=9))
     assert (raw.status_code, raw.request_id) == (200, "r7")
     assert raw.headers["x-REQUEST-id"] == "r7"
     assert json.loads(raw.content) == CLASSIFICATION
     assert (raw.parse().label, raw.parse().confidence) == ("7", 0.9)
-    bundles = await both(lambda camera: camera.with_raw_response.bundles())
+    bundles = await both(lambda camera: camera.raw(camera.bundles))
     assert (len(bundles.parse()), bundles.request_id) == (2, None)
 
 
