@@ -33,9 +33,10 @@ import numpy.typing as npt
 import typer
 from benchmarks.figures import FiguresOption, record
 
-from veilcam_client import Camera, Capture, Classification, Embedding
+from veilcam_client import Camera
 from veilcam_client.http.answers import Received, read
 from veilcam_client.http.calls import CAPTURE
+from veilcam_client.models import Capture, Classification, Embedding
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
 SHAPE = (24, 32)

@@ -67,7 +67,7 @@ def main(
         with running(bundle, shown[0], Path(name), "--scene-api") as url, Camera(url) as camera:
             said = {}
             for path in shown:
-                camera.hold_scene(path.read_bytes())
+                camera.simulation.hold_scene(path.read_bytes())
                 said[path] = camera.classify().label
         command = (train, "predict", str(bundle), *map(str, shown))
         told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout

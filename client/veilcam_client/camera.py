@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, ParamSpec, Self, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
 from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
@@ -18,23 +17,19 @@ from veilcam_client.http.options import Options, RetryPolicy, address, follow_en
 from veilcam_client.http.streams import EventStream
 from veilcam_client.http.transport import HttpClient, Transport
 from veilcam_client.keys.opening import KeySource, opened, opener_of
-from veilcam_client.wire.bundles import InstalledBundle
-from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
+from veilcam_client.resources import (
+    BundleResource,
+    CalibrationResource,
+    LeaseResource,
+    LogResource,
+    ReceiverResource,
+    RotationResource,
+    SimulationResource,
+    TokenResource,
+    WatchResource,
+)
 from veilcam_client.wire.captures import Capture, Classification
-from veilcam_client.wire.lease import Lease, NewLease
-from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
-from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.sealing import PairedReceiver, Receivers
-from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Diagnostics, Status
-from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
-from veilcam_client.wire.watch import Watch, WatchPolicy
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from veilcam_client.keys.receivers import Receiver
-
 
 P = ParamSpec("P")
 ResultT = TypeVar("ResultT")
@@ -42,6 +37,9 @@ ResultT = TypeVar("ResultT")
 
 class Camera:
     """One connection to a ``veilcamd``.
+
+    What is managed beside captures has a resource each: ``camera.bundles``, ``tokens``,
+    ``receivers``, ``calibration``, ``rotation``, ``watch``, ``log``, ``lease`` and ``simulation``.
 
     While another holds the camera, a method raises ``LeasedError`` at once. Those that take
     ``wait=`` wait so long for the lease to end [s], before their ``timeout`` begins.
@@ -72,7 +70,7 @@ class Camera:
     Raises:
         ArgumentError: an argument that cannot be used; the message names it. Every method raises
             it, too, also where the camera is closed. It is a ``ValueError``.
-        KeyFileError: a key's file that cannot be used.
+        FileError: a key's file that cannot be used.
     """
 
     def __init__(
@@ -93,7 +91,16 @@ class Camera:
         self._opener = opener_of(key, device)
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
         options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
-        self._transport = Transport(options, http_client)
+        self._transport = transport = Transport(options, http_client)
+        self.bundles: BundleResource = BundleResource(transport)
+        self.tokens: TokenResource = TokenResource(transport)
+        self.receivers: ReceiverResource = ReceiverResource(transport)
+        self.calibration: CalibrationResource = CalibrationResource(transport)
+        self.rotation: RotationResource = RotationResource(transport)
+        self.watch: WatchResource = WatchResource(transport)
+        self.log: LogResource = LogResource(transport)
+        self.lease: LeaseResource = LeaseResource(transport)
+        self.simulation: SimulationResource = SimulationResource(transport)
 
     def __repr__(self) -> str:
         return f"Camera({self._transport.options.url!r})"
@@ -117,7 +124,8 @@ class Camera:
             seconds: time to listen [s].
 
         Raises:
-            DiscoveryError: the extra ``discover`` is not installed, or there is no network.
+            VeilcamError: the extra ``discover`` is not installed, or there is no network (code
+                ``discovery_failed``).
         """
         return discover(seconds)
 
@@ -126,32 +134,8 @@ class Camera:
         self._transport.close()
 
     def status(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Status:
-        """State, device, bundle, rotation and queue of the daemon."""
+        """Return state, device, bundle, rotation and queue of the daemon."""
         return self._transport.send(calls.STATUS, timeout)
-
-    def calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
-        """Return the calibration in use, and how a running one goes on."""
-        return self._transport.send(calls.CALIBRATION, timeout)
-
-    def start_calibration(
-        self, *, repeats: int = 2, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> CalibrationRun:
-        """Begin to measure the camera with itself; it takes no captures meanwhile.
-
-        It goes on by itself but for scenes that somebody must set: see ``stage`` and
-        ``instruction`` of :meth:`calibration` or of the events, and :meth:`confirm_scene`.
-        """
-        return self._transport.send(calls.start_calibration(repeats), timeout, wait=wait)
-
-    def confirm_scene(
-        self, scene: SceneName, *, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> CalibrationRun:
-        """Confirm that the scene that the calibration waits for is set."""
-        return self._transport.send(calls.confirm_scene(scene), timeout)
-
-    def cancel_calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
-        """End the calibration that is under way; what was in use before stays in use."""
-        return self._transport.send(calls.CANCEL_CALIBRATION, timeout)
 
     def capture(
         self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
@@ -170,213 +154,12 @@ class Camera:
         answer = self._transport.send(calls.classify(include_embedding), timeout, wait=wait)
         return opened(answer, self._opener)
 
-    def rotation(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
-        """Return the rotation policy and the present mask epoch."""
-        return self._transport.send(calls.ROTATION, timeout)
-
-    def set_rotation(
-        self,
-        policy: RotationPolicy,
-        *,
-        wait: float | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> Rotation:
-        """Change when masks change."""
-        return self._transport.send(calls.set_rotation(policy), timeout, wait=wait)
-
-    def rotate(
-        self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> Rotation:
-        """Show another mask now."""
-        return self._transport.send(calls.ROTATE, timeout, wait=wait)
-
-    def watch(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
-        """Return the policy of the watch, and what the camera believes to see."""
-        return self._transport.send(calls.WATCH, timeout)
-
-    def set_watch(
-        self,
-        policy: WatchPolicy,
-        *,
-        wait: float | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> Watch:
-        """Let the camera look by itself, or on request alone, or not at all."""
-        return self._transport.send(calls.set_watch(policy), timeout, wait=wait)
-
-    def take_lease(
-        self,
-        *,
-        seconds: float,
-        owner: str = "veilcam_client",
-        wait: float | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> NewLease:
-        """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = self._transport.send(calls.take_lease(seconds, owner), timeout, wait=wait)
-        self._transport.options.credentials.lease = taken.secret
-        return taken
-
-    def release_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
-        """Hold the camera no longer."""
-        released = self._transport.send(calls.release_lease(), timeout)
-        self._transport.options.credentials.lease = None
-        return released
-
-    @contextmanager
-    def lease(
-        self,
-        *,
-        seconds: float,
-        owner: str = "veilcam_client",
-        wait: float | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> Iterator[NewLease]:
-        """Hold the camera within the context; :meth:`take_lease` within it renews."""
-        taken = self.take_lease(seconds=seconds, owner=owner, wait=wait, timeout=timeout)
-        try:
-            yield taken
-        finally:
-            self.release_lease(timeout=timeout)
-
-    def break_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
-        """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return self._transport.send(calls.release_lease(force=True), timeout)
-
-    def lease_state(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
-        """Return the holder of the camera, and the remaining time."""
-        return self._transport.send(calls.LEASE_STATE, timeout)
-
     def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
-        """Versions, settings, and the last states and faults of the daemon."""
+        """Return versions, settings, and the last states and faults of the daemon."""
         return self._transport.send(calls.DIAGNOSTICS, timeout)
 
-    def tokens(
-        self,
-        *,
-        limit: int = TOKENS_AT_ONCE,
-        after: str | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> Tokens:
-        """Return tokens, the oldest first, revoked and expired ones included.
-
-        Args:
-            limit: greatest number of tokens.
-            after: id of the token after which others are wanted, as ``next`` of an answer names it.
-            timeout: time-out of the call in all [s].
-        """
-        return self._transport.send(calls.tokens(limit, after), timeout)
-
-    def create_token(
-        self,
-        label: str,
-        scopes: Sequence[Scope],
-        *,
-        seconds: int | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> NewToken:
-        """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return self._transport.send(calls.create_token(label, scopes, seconds), timeout)
-
-    def revoke_token(self, token_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Token:
-        """Let a token do nothing any more."""
-        return self._transport.send(calls.revoke_token(token_id), timeout)
-
-    def log(
-        self,
-        *,
-        limit: int = RECORDS_AT_ONCE,
-        after: int | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> LogRecords:
-        """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
-
-        Args:
-            limit: greatest number of records.
-            after: position after which records are wanted, as ``next`` of an answer names it.
-            timeout: time-out of the call in all [s].
-        """
-        return self._transport.send(calls.log(limit, after), timeout)
-
-    def log_head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
-        """Return the signed end of the log: keep it, and what is dropped from that end shows."""
-        return self._transport.send(calls.LOG_HEAD, timeout)
-
-    def receivers(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
-        """To whom embeddings are sealed, and the key of the device that seals them."""
-        return self._transport.send(calls.RECEIVERS, timeout)
-
-    def add_receiver(
-        self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> PairedReceiver:
-        """Seal to one receiver more, from the next mask on.
-
-        Args:
-            label: label for people; it stands in the status and in the audit log.
-            key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
-            timeout: time-out of the call in all [s].
-        """
-        return self._transport.send(calls.add_receiver(label, str(key)), timeout)
-
-    def remove_receiver(self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> None:
-        """Seal to a receiver no more, from the next mask on; what it has it still opens."""
-        self._transport.send(calls.remove_receiver(receiver_id), timeout)
-
-    def hold_scene(
-        self, picture: npt.ArrayLike | bytes | None, *, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> HeldScene:
-        """Hold a picture up before a simulated camera that allows it; None takes it away.
-
-        Args:
-            picture: the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or ``.npy`` file, or an array
-                (rows, columns) or (rows, columns, 3), uint8, or floats in [0, 1].
-            timeout: time-out of the call in all [s].
-        """
-        if picture is None:
-            return self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
-        return self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
-
-    def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
-        """Break a simulated camera that allows it; ``Faults()`` mends it.
-
-        Returns:
-            What is wrong with it from now on.
-        """
-        return self._transport.send(calls.set_faults(faults), timeout)
-
-    def bundles(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> tuple[InstalledBundle, ...]:
-        """All bundles; one of them is ``active``."""
-        return (self._transport.send(calls.BUNDLES, timeout)).bundles
-
-    def install_bundle(
-        self, bundle: bytes, *, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> InstalledBundle:
-        """Hand over the content of a bundle; it is checked, and not used yet."""
-        return self._transport.send(calls.install_bundle(bundle), timeout)
-
-    def activate_bundle(
-        self,
-        digest: str,
-        *,
-        allow_older: bool = False,
-        wait: float | None = None,
-        timeout: CallTimeout = CAMERA_TIMEOUT,
-    ) -> InstalledBundle:
-        """Take masks and classifiers from this bundle from now on.
-
-        One of an older version than that in use is refused unless ``allow_older``, and always where
-        the daemon wants its owner's signature.
-        """
-        return self._transport.send(calls.activate_bundle(digest, allow_older), timeout, wait=wait)
-
-    def remove_bundle(
-        self, digest: str, *, timeout: CallTimeout = CAMERA_TIMEOUT
-    ) -> tuple[InstalledBundle, ...]:
-        """Remove a bundle that is not in use for good; return those that are left."""
-        return (self._transport.send(calls.remove_bundle(digest), timeout)).bundles
-
     def events(self, *, last_event_id: str | None = None, reconnect: bool = True) -> EventStream:
-        """Events as they happen; a context, or a loop that ends when the stream is closed.
+        """Return events as they happen; a context, or a loop that ends when the stream is closed.
 
         It is opened again by itself when it breaks, after the last event; a ``Gap`` tells of missed
         ones.

@@ -29,7 +29,7 @@ class SceneDecoder:
     Raises:
         VeilcamError: the optics are not installed (code ``optics_missing``), or the frame cannot be
             used (code ``decoding_failed``).
-        KeyFileError: the key's file cannot be used.
+        FileError: the key's file cannot be used.
     """
 
     def __init__(

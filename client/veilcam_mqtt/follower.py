@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from veilcam_client import AsyncCamera, BusyError, VeilcamError
+from veilcam_client import AsyncCamera, VeilcamError
+from veilcam_client.errors import BusyError
 from veilcam_client.wire.events import Event
 from veilcam_mqtt.view import View, calls_for_a_look, changes_what_is_seen
 
@@ -75,7 +76,7 @@ class Follower:
             self._look.clear()
             changes = self._changes
             try:
-                status, watch = await self._camera.status(), await self._camera.watch()
+                status, watch = await self._camera.status(), await self._camera.watch.get()
             except BusyError:
                 log.debug("the camera is too busy to say how it is")
             else:

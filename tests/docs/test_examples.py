@@ -40,8 +40,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_frame(frame, bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding))
     with FakeCamera({"bundle": FRESH}) as fake:
         with fake.camera() as camera:
-            camera.add_receiver("examples", key.public)
-            camera.rotate()
+            camera.receivers.add("examples", key.public)
+            camera.rotation.advance()
         yield Served(fake, frame, path)
 
 

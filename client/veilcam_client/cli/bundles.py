@@ -37,7 +37,7 @@ def list_bundles(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Print all bundles; a star stands at the one in use."""
-    for installed in ask(url, timeout, Camera.bundles):
+    for installed in ask(url, timeout, lambda camera: camera.bundles.list()).bundles:
         show(installed, bundle_in_words, json=json)
 
 
@@ -60,10 +60,10 @@ def install(
         fail(f"{file} cannot be read: {error.strerror}", USAGE)
 
     def question(camera: Camera) -> InstalledBundle:
-        installed = camera.install_bundle(bundle)
+        installed = camera.bundles.install(bundle)
         if not activate:
             return installed
-        return camera.activate_bundle(installed.digest, allow_older=allow_older)
+        return camera.bundles.activate(installed.digest, allow_older=allow_older)
 
     show(ask(url, timeout, question), bundle_in_words, json=json)
 
@@ -80,7 +80,7 @@ def activate(
     """Take masks and classifiers from this bundle from now on."""
 
     def question(camera: Camera) -> InstalledBundle:
-        return camera.activate_bundle(_whole(camera, digest), allow_older=allow_older)
+        return camera.bundles.activate(_whole(camera, digest), allow_older=allow_older)
 
     show(ask(url, timeout, question), bundle_in_words, json=json)
 
@@ -94,14 +94,14 @@ def remove(
     json: JsonOption = False,
 ) -> None:
     """Remove a bundle that is not in use, for good, and print those that are left."""
-    left = ask(url, timeout, lambda camera: camera.remove_bundle(_whole(camera, digest)))
-    for installed in left:
+    left = ask(url, timeout, lambda camera: camera.bundles.remove(_whole(camera, digest)))
+    for installed in left.bundles:
         show(installed, bundle_in_words, json=json)
 
 
 def _whole(camera: Camera, start: str) -> str:
     """Return the one digest that begins so."""
-    found = [one.digest for one in camera.bundles() if one.digest.startswith(start)]
+    found = [one.digest for one in camera.bundles.list().bundles if one.digest.startswith(start)]
     if len(found) != 1:
         raise ValueError(f"{len(found)} bundles begin with {start!r}: see 'veilcam bundle list'")
     return found[0]

@@ -40,15 +40,15 @@ def calibrate(
     Where no daemon runs: 'veilcamd calibrate' on the device.
     """
     with errors(), Camera(url, read_timeout=timeout) as camera:
-        run = camera.start_calibration(repeats=repeats)
+        run = camera.calibration.start(repeats=repeats)
         try:
             run = _follow(camera, run)
         except BaseException:
             # It may have ended by itself, or the daemon be gone.
             with suppress(VeilcamError):
-                camera.cancel_calibration()
+                camera.calibration.cancel()
             raise
-        found = camera.calibration()
+        found = camera.calibration.get()
     if run.stage != "done":
         fail(f"{run.detail or 'the calibration was cancelled'}; nothing was changed", DEVICE)
     if json:
@@ -64,11 +64,11 @@ def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
         if run.stage == "waiting" and run.scene is not None:
             typer.echo(f"\n{run.instruction}", err=True)
             typer.prompt("Press Enter when it is so", default="", show_default=False, err=True)
-            run = camera.confirm_scene(run.scene)
+            run = camera.calibration.confirm(run.scene)
             continue
         if (news := (run.stage, run.scene, 10 * run.exposures // max(1, run.total))) != said:
             typer.echo(run_in_words(run), err=True)
             said = news
         time.sleep(_EVERY)
-        run = camera.calibration().run or run
+        run = camera.calibration.get().run or run
     return run

@@ -69,7 +69,11 @@ def collect_command(
             shots: Iterator[Shot] = _by_hand(camera.status().bundle.labels)
         else:
             shots = iter(labelled_pictures(folder, per_class=per_class))
-            show = held_before(camera) if viewer is None else _viewed(shlex.split(viewer), pause)
+            show = (
+                held_before(camera.simulation)
+                if viewer is None
+                else _viewed(shlex.split(viewer), pause)
+            )
         added = collect(camera, file, shots, show=show, key=key, device=device)
     found = {"added": added, "file": str(file)}
     tell(found, f"{added} measurements more in {file}", json=json)

@@ -45,7 +45,7 @@ def log(
     A token needs read:log.
     """
     with errors(), Camera(url, read_timeout=timeout) as camera:
-        added, ends = fetch_log(camera, file)
+        added, ends = fetch_log(camera.log, file)
     if head is not None:
         try:
             head.write_text(f"{ends.model_dump_json()}\n")

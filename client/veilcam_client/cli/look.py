@@ -64,7 +64,7 @@ def look(
     answer = ask(
         url,
         timeout,
-        lambda camera: camera.watch() if policy is None else camera.set_watch(policy),
+        lambda camera: camera.watch.get() if policy is None else camera.watch.set(policy),
     )
     show(answer, watch_in_words, json=json)
 

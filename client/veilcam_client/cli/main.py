@@ -65,7 +65,7 @@ def lease(
     json: JsonOption = False,
 ) -> None:
     """Show who holds the camera for a while, or end that."""
-    answer = ask(url, timeout, Camera.break_lease if end else Camera.lease_state)
+    answer = ask(url, timeout, lambda camera: camera.lease.revoke() if end else camera.lease.get())
     show(answer, lease_in_words, json=json)
 
 
@@ -265,7 +265,7 @@ def rotate(
     answer = ask(
         url,
         timeout,
-        lambda camera: camera.rotate() if policy is None else camera.set_rotation(policy),
+        lambda camera: camera.rotation.advance() if policy is None else camera.rotation.set(policy),
     )
     show(answer, rotation_in_words, json=json)
 

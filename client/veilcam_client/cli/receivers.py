@@ -74,8 +74,8 @@ def add(
         fail(f"--label: {error.errors()[0]['msg']}", USAGE)
 
     def question(camera: Camera) -> Receivers:
-        camera.add_receiver(asked.label, asked.key)
-        return camera.receivers()
+        camera.receivers.add(asked.label, asked.key)
+        return camera.receivers.list()
 
     show(ask(url, timeout, question), lambda answer: answer.device, json=json)
 
@@ -85,7 +85,7 @@ def list_receivers(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Print all receivers, the oldest first."""
-    for receiver in ask(url, timeout, Camera.receivers).receivers:
+    for receiver in ask(url, timeout, lambda camera: camera.receivers.list()).receivers:
         show(receiver, receiver_in_words, json=json)
 
 
@@ -103,7 +103,7 @@ def remove(
 
     def question(camera: Camera) -> str:
         whole = _whole(camera, receiver_id)
-        camera.remove_receiver(whole)
+        camera.receivers.remove(whole)
         return whole
 
     removed = ask(url, timeout, question)
@@ -126,7 +126,7 @@ def _whole(camera: Camera, start: str) -> str:
     """Return the one id that begins so."""
     if len(start) < LEAST_DIGITS:
         raise ValueError(f"{start!r} is too short: give {LEAST_DIGITS} digits or more")
-    found = [one.id for one in camera.receivers().receivers if one.id.startswith(start)]
+    found = [one.id for one in camera.receivers.list().receivers if one.id.startswith(start)]
     if len(found) != 1:
         raise ValueError(
             f"{len(found)} receivers begin with {start!r}: see 'veilcam receiver list'"

@@ -14,23 +14,17 @@ from pydantic import BaseModel
 from veilcam_client.camera import Camera
 from veilcam_client.cli.profiles import URL
 from veilcam_client.errors import (
+    AccessError,
     ApiError,
     ArgumentError,
     BusyError,
     ConnectError,
     DeviceError,
-    DiscoveryError,
-    ForbiddenError,
-    InvalidRequestError,
-    KeyFileError,
+    FileError,
     LeasedError,
-    LogFileError,
     ProtocolError,
-    RecordingError,
     RequestTimeoutError,
     SealedError,
-    ServerError,
-    UnauthorizedError,
     VeilcamError,
 )
 
@@ -41,19 +35,15 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ArgumentError, USAGE),
     (ConnectError, 3),
     (RequestTimeoutError, 4),
-    (InvalidRequestError, 5),
     (BusyError, 6),
     (DeviceError, DEVICE),
-    (ServerError, 8),
     (ProtocolError, 9),
-    (UnauthorizedError, 10),
-    (ForbiddenError, 11),
+    (AccessError, 10),
     (LeasedError, 12),
-    (RecordingError, 13),
-    (KeyFileError, 14),
+    (FileError, 13),
     (SealedError, 15),
-    (LogFileError, 16),
-    (DiscoveryError, 18),
+    (ApiError, 5),
+    (VeilcamError, 1),
 )
 
 FoundT = TypeVar("FoundT")

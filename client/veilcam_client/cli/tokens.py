@@ -18,7 +18,7 @@ from veilcam_client.cli.terminal import (
 )
 from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.http.options import DEFAULT_URL
-from veilcam_client.wire.tokens import TOKENS_AT_ONCE, TokenRequest
+from veilcam_client.wire.tokens import TOKENS_AT_ONCE, TokenRequest, Tokens
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
@@ -61,7 +61,7 @@ def create(
     answer = ask(
         url,
         timeout,
-        lambda camera: camera.create_token(asked.label, asked.scopes, seconds=asked.seconds),
+        lambda camera: camera.tokens.create(asked.label, asked.scopes, seconds=asked.seconds),
     )
     show(answer, lambda made: made.secret, json=json)
 
@@ -83,7 +83,7 @@ def list_tokens(
     left = float("inf") if limit is None else limit
     while left > 0:
         wanted = int(min(left, TOKENS_AT_ONCE))
-        answer = ask(url, timeout, partial(Camera.tokens, limit=wanted, after=after))
+        answer = ask(url, timeout, partial(_page, limit=wanted, after=after))
         for token in answer.tokens:
             show(token, token_in_words, json=json)
         if answer.next is None:
@@ -102,5 +102,9 @@ def revoke(
     json: JsonOption = False,
 ) -> None:
     """Let a token do nothing any more, from the next request on."""
-    answer = ask(url, timeout, lambda camera: camera.revoke_token(token_id))
+    answer = ask(url, timeout, lambda camera: camera.tokens.revoke(token_id))
     show(answer, lambda revoked: f"revoked {revoked.id}", json=json)
+
+
+def _page(camera: Camera, *, limit: int, after: str | None) -> Tokens:
+    return camera.tokens.list(limit=limit, after=after)

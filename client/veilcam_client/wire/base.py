@@ -16,15 +16,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.errors import (
+    AccessError,
     ApiError,
     BusyError,
     DeviceError,
     FieldError,
-    ForbiddenError,
-    InvalidRequestError,
     LeasedError,
-    ServerError,
-    UnauthorizedError,
 )
 
 if TYPE_CHECKING:
@@ -36,8 +33,8 @@ CALL_HEADER = "Veilcam-Call"
 """Header that names a request: 128 random bits, 32 hexadecimal digits. Its answer repeats it."""
 UNAUTHORIZED_HINT = "give a token as token= or in VEILCAM_TOKEN"
 _BY_CODE: Mapping[str, type[ApiError]] = {
-    "unauthorized": UnauthorizedError,
-    "forbidden": ForbiddenError,
+    "unauthorized": AccessError,
+    "forbidden": AccessError,
     "leased": LeasedError,
 }
 _BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
@@ -79,10 +76,9 @@ class Problem(Answer):
 
     def error(self, retry_after: float | None = None) -> ApiError:
         """Return the error to raise, chosen by the code or else by the HTTP status."""
-        other = ServerError if self.status >= 500 else InvalidRequestError
-        kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, other)
+        kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, ApiError)
         return kind(
-            f"{self.detail} ({UNAUTHORIZED_HINT})" if kind is UnauthorizedError else self.detail,
+            f"{self.detail} ({UNAUTHORIZED_HINT})" if self.code == "unauthorized" else self.detail,
             code=self.code,
             status=self.status,
             request_id=self.request_id,

@@ -5,7 +5,7 @@ Needs the extra ``server``. With pytest the fixture ``fake_camera`` is there by 
     from veilcam_server.testing import FakeCamera
 
     with FakeCamera() as fake, fake.camera() as camera:
-        camera.hold_scene(picture)
+        camera.simulation.hold_scene(picture)
         assert camera.classify().label == "7"
 """
 

@@ -39,8 +39,8 @@ _PROMPT: Mapping[str, object] = {
 class FakeCamera:
     """A whole daemon within a context: gate, tokens, masks, simulated panel and sensor, events.
 
-    It sees a handwritten digit; ``camera().hold_scene(...)`` says what it sees instead, and
-    ``camera().set_faults(...)`` what is wrong with it. It logs as ``logging`` is told to.
+    It sees a handwritten digit. ``camera().simulation`` holds up another scene, or breaks it:
+    ``hold_scene(...)``, ``set_faults(...)``. It logs as ``logging`` is told to.
 
     Args:
         settings: settings of ``veilcamd serve``, by the names of the environment in lower case, as
@@ -77,7 +77,7 @@ class FakeCamera:
             undo.callback(portal.call, service.end_streams)
             self._door = Door(app, portal)
             with self.camera(token=self._any_token) as camera:
-                self._rotation = camera.rotation().policy
+                self._rotation = camera.rotation.get().policy
             self._stack = undo.pop_all()
         return self
 
@@ -104,10 +104,10 @@ class FakeCamera:
         Masks that were shown, tokens, receivers and bundles stay as they are.
         """
         with self.camera(token=self._any_token) as camera:
-            camera.break_lease()
-            camera.hold_scene(None)
-            camera.set_faults(Faults())
-            camera.set_rotation(self._rotation)
+            camera.lease.revoke()
+            camera.simulation.hold_scene(None)
+            camera.simulation.set_faults(Faults())
+            camera.rotation.set(self._rotation)
 
     def http_client(self) -> httpx.Client:
         """Return an HTTP client for a ``Camera(http_client=...)`` of one's own."""

@@ -10,7 +10,8 @@ import httpx
 import pytest
 from tests.unit.client.http.conftest import Both
 
-from veilcam_client import EventStream, ProtocolError
+from veilcam_client import EventStream
+from veilcam_client.errors import ProtocolError
 from veilcam_client.http.answers import MAX_EVENT
 
 pytestmark = pytest.mark.anyio

@@ -16,16 +16,8 @@ import pytest
 from tests.unit.client.conftest import problem
 from tests.unit.client.http.conftest import Both
 
-from veilcam_client import (
-    AsyncCamera,
-    Camera,
-    ConnectError,
-    EventStream,
-    InvalidRequestError,
-    ProtocolError,
-    UnauthorizedError,
-    VeilcamError,
-)
+from veilcam_client import AsyncCamera, Camera, EventStream, VeilcamError
+from veilcam_client.errors import AccessError, ApiError, ConnectError, ProtocolError
 from veilcam_client.http.options import STREAM_SILENCE
 from veilcam_client.wire.base import CALL_HEADER
 
@@ -161,8 +153,8 @@ def foreign() -> httpx.Response:
 @pytest.mark.parametrize(
     ("answer", "error", "why"),
     [
-        (lambda: problem(401, "unauthorized"), UnauthorizedError, "went wrong"),
-        (lambda: problem(422, "invalid_request"), InvalidRequestError, "went wrong"),
+        (lambda: problem(401, "unauthorized"), AccessError, "went wrong"),
+        (lambda: problem(422, "invalid_request"), ApiError, "went wrong"),
         (lambda: events("event: mask\ndata: {}\n\n"), ProtocolError, "update veilcam"),
         (foreign, ProtocolError, "answer to another request"),
     ],
