@@ -12,7 +12,18 @@ from typing import Annotated, Any
 
 import typer
 
-from veilcam_client import AsyncCamera, __version__
+from veilcam_client import AsyncCamera
+from veilcam_client.cli.profiles import URL, environment
+from veilcam_client.cli.terminal import (
+    EXIT_CODES_HELP,
+    ProfileOption,
+    TokenFileOption,
+    UrlOption,
+    camera_of,
+    errors,
+    fail,
+    version_option,
+)
 from veilcam_client.http.credentials import read_secret
 from veilcam_mqtt import logs
 from veilcam_mqtt.bridge import Bridge, CameraChangedError
@@ -21,37 +32,23 @@ from veilcam_mqtt.webhooks import Webhook
 
 SOCKET = "unix:///run/veilcam/api.sock"
 """Where a daemon listens that systemd started."""
-USAGE = 2
+COMMAND = "veilcam-mqtt"
 
 log = logging.getLogger("veilcam.mqtt")
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
-    epilog="Each option may stand in the environment instead. Exit codes: 1 another camera "
-    "answers, 2 usage.",
+    rich_markup_mode=None,
+    epilog=f"Each option may stand in the environment instead. {EXIT_CODES_HELP}",
 )
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"veilcam-mqtt {__version__}")
-        raise typer.Exit
 
 
 @app.command()
 def run(
     *,
-    url: Annotated[
-        str,
-        typer.Option(envvar="VEILCAM_URL", help="The camera: unix:///PATH or http://HOST:PORT."),
-    ] = SOCKET,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(
-            envvar="VEILCAM_TOKEN_FILE",
-            help="File of a token with read:status, classify, read:scores and mask:rotate.",
-        ),
-    ] = None,
+    url: UrlOption = None,
+    profile: ProfileOption = None,
+    token_file: TokenFileOption = None,
     broker: Annotated[
         str,
         typer.Option(envvar="VEILCAM_MQTT_BROKER", help="mqtts://HOST:PORT, or mqtt://HOST:PORT."),
@@ -124,16 +121,20 @@ def run(
         str,
         typer.Option(envvar="VEILCAM_MQTT_LOG_LEVEL", help="debug, info, warning or error."),
     ] = "info",
-    _: Annotated[
-        bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    json: Annotated[
+        bool, typer.Option("--json", help="Log JSON lines, also on a terminal.")
     ] = False,
+    _: version_option("veilcam-mqtt") = False,  # type: ignore[valid-type]
 ) -> None:
-    """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it."""
-    try:
+    """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it.
+
+    Its token needs read:status, classify, read:scores and mask:rotate. Where no camera is given, it
+    is the one that systemd runs on this machine.
+    """
+    with errors(COMMAND):
         if log_level not in ("debug", "info", "warning", "error"):
             raise ValueError("--log-level is one of debug, info, warning and error")
-        logs.configure(log_level)
+        logs.configure(log_level, json=json or not sys.stderr.isatty())
         if webhook and webhook_secret_file is None:
             raise ValueError("webhooks are signed: give --webhook-secret-file")
         secret = "" if webhook_secret_file is None else read_secret(webhook_secret_file)
@@ -142,19 +143,15 @@ def run(
         reached.tls()
         Names(name or "veilcam", base, discovery)
         hooks = [Webhook(address, secret) for address in webhook or ()]
-        token = None if token_file is None else read_secret(token_file)
-        # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
-        camera = AsyncCamera(url, token=token, max_retries=0)
-    except ValueError as error:
-        typer.echo(f"veilcam-mqtt: error: {error}", err=True)
-        sys.exit(USAGE)
+        with environment({URL: SOCKET, **camera_of(url, profile, token_file)}):
+            # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
+            camera = AsyncCamera(max_retries=0)
 
     bridge = _bridged(camera, reached, hooks, name=name, base=base, discovery=discovery)
     try:
         asyncio.run(bridge)
     except CameraChangedError as error:
-        typer.echo(f"veilcam-mqtt: error: {error}", err=True)
-        sys.exit(1)
+        fail(str(error), 1, COMMAND)
     except (KeyboardInterrupt, asyncio.CancelledError):
         pass
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import json as encoder
 import logging
 import sys
 from datetime import UTC, datetime
@@ -20,15 +20,13 @@ class JsonFormatter(logging.Formatter):
         }
         if record.exc_info and record.exc_info[0] is not None:
             entry["error"] = record.exc_info[0].__name__
-        return json.dumps(entry)
+        return encoder.dumps(entry)
 
 
-def configure(level: str) -> None:
+def configure(level: str, *, json: bool) -> None:
     """Log everything of at least ``level`` (``debug``, ``info``, ``warning``, ``error``)."""
     handler = logging.StreamHandler(sys.stderr)
-    if sys.stderr.isatty():
-        handler.setFormatter(logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s"))
-    else:
-        handler.setFormatter(JsonFormatter())
+    words = logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s")
+    handler.setFormatter(JsonFormatter() if json else words)
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger("veilcam").setLevel(level.upper())

@@ -23,9 +23,9 @@ def lead_to(monkeypatch: pytest.MonkeyPatch) -> Lead:
                 assert options.base == "http://127.0.0.1:8787"
                 return make()
 
-            monkeypatch.setattr(f"veilcam_client.http.{name}._own_client", client)
+            monkeypatch.setattr(f"veilcam_client.http.{name}", client)
 
-        instead("transport", fake.http_client)
-        instead("async_transport", fake.async_http_client)
+        instead("transport.own_client", fake.http_client)
+        instead("async_transport.async_own_client", fake.async_http_client)
 
     return lead

@@ -8,30 +8,21 @@ import typer
 
 from veilcam_client.camera import Camera
 from veilcam_client.cli.format import record_in_words, run_in_words
-from veilcam_client.cli.terminal import (
-    DEVICE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    errors,
-    fail,
-)
+from veilcam_client.cli.terminal import DEVICE, Ask, asking, fail
 from veilcam_client.errors import VeilcamError
-from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.calibration import CalibrationRun
 
 _EVERY = 0.5
 """Between two looks at how it goes on [s]."""
 
 
+@asking()
 def calibrate(
+    ask: Ask,
     *,
     repeats: Annotated[
         int, typer.Option(min=1, max=100, help="Exposures for one measurement.")
     ] = 2,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Measure the camera with itself; it takes no captures meanwhile, for some minutes.
 
@@ -39,7 +30,7 @@ def calibrate(
     found from then on. Wants a token of the scope calibrate; Ctrl-C ends it, and nothing changes.
     Where no daemon runs: 'veilcamd calibrate' on the device.
     """
-    with errors(), Camera(url, read_timeout=timeout) as camera:
+    with ask.camera() as camera:
         run = camera.calibration.start(repeats=repeats)
         try:
             run = _follow(camera, run)
@@ -51,7 +42,7 @@ def calibrate(
         found = camera.calibration.get()
     if run.stage != "done":
         fail(f"{run.detail or 'the calibration was cancelled'}; nothing was changed", DEVICE)
-    if json:
+    if ask.json:
         typer.echo(found.model_dump_json())
     elif found.signed is not None:
         typer.echo(record_in_words(found.signed.record))

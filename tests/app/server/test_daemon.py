@@ -175,7 +175,7 @@ def test_unix_socket(options: list[str], tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == 0o600
         with Camera(url) as camera:
             assert camera.classify().label in "0123456789"
-        result = runner.invoke(client_cli, ["watch", "--url", url, "--since", "", "--count", "2"])
+        result = runner.invoke(client_cli, ["events", "--url", url, "--since", "", "--count", "2"])
         assert result.exit_code == 0
         assert len(result.stdout.splitlines()) == 2
         process.send_signal(signal.SIGTERM)

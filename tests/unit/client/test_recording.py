@@ -154,7 +154,7 @@ def test_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path) -
 
 def test_record_command_writes_a_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = Daemon(captures=2)
-    monkeypatch.setattr("veilcam_client.cli.main.Camera", lambda *_, **__: daemon.camera())
+    monkeypatch.setattr("veilcam_client.cli.terminal.Camera", lambda *_, **__: daemon.camera())
     options = ["record", "--count", "2", "--labels", "--out", str(path)]
     result = CliRunner().invoke(app, options)
     assert result.exit_code == 0, result.output

@@ -2,6 +2,7 @@
 
 import sys
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -55,11 +56,28 @@ from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
-    help="Train lensless cameras: mask and classifier together.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 console = Console()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"veilcam-train {version('veilcam')}")
+        raise typer.Exit
+
+
+@app.callback()
+def veilcam_train(
+    *,
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Train lensless cameras: mask and classifier together."""
 
 
 Dataset = Annotated[
