@@ -187,16 +187,19 @@ class EventSize:
 
 
 def read(kind: type[AnswerT], received: Received) -> AnswerT:
-    """Return the model of an answer, or raise the error that it is."""
+    """Return the model of an answer with its ``request_id``, or raise the error that it is."""
     if not 200 <= received.status_code < 300:
         raise error_of(received)
     try:
-        if media_type(received) == NPY_MEDIA_TYPE:
+        if media_type(received) != NPY_MEDIA_TYPE:
+            answer = kind.model_validate_json(received.content or b"{}")
+        else:
             capture = Capture.from_npy(received.content, received.headers)
             if not isinstance(capture, kind):
                 raise ValueError("only a capture comes as an array")
-            return capture
-        return kind.model_validate_json(received.content or b"{}")
+            answer = capture
+        vars(answer)["request_id"] = received.request_id
+        return answer
     except ValueError as error:
         raise unreadable(received, f"an answer that is no {kind.__name__}") from error
 

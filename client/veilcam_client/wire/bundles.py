@@ -17,10 +17,11 @@ class CardFinding(Answer):
     outcome: str
     """``PASS``, ``FAIL`` or ``NOT CLAIMED``."""
     figure: float
-    """What the worst attacker reached."""
+    """Result of the worst attacker, in ``unit``."""
     end: float
-    """Of the figure's one-sided interval."""
+    """End of the figure's one-sided interval, in ``unit``."""
     unit: str
+    """Unit of figure and end."""
 
 
 class CardSummary(Answer):
@@ -36,7 +37,9 @@ class CardSummary(Answer):
     quick: bool
     """Few masks and light attackers."""
     made_at: datetime
+    """Time of the attacks."""
     rows: tuple[CardFinding, ...]
+    """One row for each threat."""
 
 
 class MaskHiding(Answer):
@@ -54,10 +57,13 @@ class BundleInfo(Answer):
     digest: str
     """SHA-256 of the file."""
     task: str
+    """Name of the task, as ``mnist``."""
     mode: str
     """``pairs``: stored masks; ``fresh``: a new one for every epoch, drawn from a key."""
     labels: tuple[str, ...]
+    """Labels that its classifiers tell."""
     embedding_shape: tuple[int, ...]
+    """Shape of an embedding: rows and columns, or channels before them."""
     pairs: int
     """Stored masks; 0 in mode ``fresh``."""
     version: int = 0
@@ -76,7 +82,7 @@ class InstalledBundle(Answer):
     digest: str
     """SHA-256 of the file: its name."""
     size: int
-    """[bytes]"""
+    """Size of its file [bytes]."""
     active: bool
     """Whether masks and classifiers come from it now."""
     configured: bool
@@ -89,6 +95,7 @@ class InstalledBundles(Answer):
     """All of them."""
 
     bundles: tuple[InstalledBundle, ...]
+    """Every bundle on the daemon's disk."""
 
 
 def example_bundle() -> BundleInfo:

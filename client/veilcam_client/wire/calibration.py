@@ -19,17 +19,20 @@ class Quantity(Answer):
     """One measured number."""
 
     value: float = Field(allow_inf_nan=False)
+    """Measured value, in the unit that its name ends with."""
     uncertainty: float = Field(ge=0, allow_inf_nan=False)
     """Standard uncertainty, in the unit of the value."""
     residual: float = Field(ge=0, allow_inf_nan=False)
-    """Root mean square of what the fit left, relative to the measurements it was made from."""
+    """Root mean square of what the fit left, relative to the measurements [1]."""
 
 
 class CalibrationRecord(Answer):
     """A camera measured with itself. No mask and no measurement is in it."""
 
     version: Literal[2] = 2
+    """Version of this record."""
     taken_at: datetime
+    """Time of the measurement."""
     temperature_c: float | None = None
     """Of the panel [degree Celsius]; None: there is no thermometer."""
     display: str
@@ -37,6 +40,7 @@ class CalibrationRecord(Answer):
     sensor: str
     """Name of the sensor."""
     simulated: bool
+    """True: the camera is simulated."""
     tab: str | None = None
     """How the panel's glass sits in its controller's memory, where that was told."""
     exposure_s: float
@@ -72,15 +76,16 @@ class CalibrationRecord(Answer):
     stray_light: Quantity
     """Share of the light on the sensor that is spread evenly over it."""
     psf_residual: float = Field(ge=0, allow_inf_nan=False)
-    """Relative error of the predicted response to a point behind masks that no fit has seen."""
+    """Relative error of the predicted response to a point behind masks that no fit has seen [1]."""
     drift: float = Field(allow_inf_nan=False)
-    """Relative change of the light while it was measured."""
+    """Relative change of the light while it was measured [1]."""
 
 
 class SignedCalibration(Answer):
     """A record and who vouches for it."""
 
     record: CalibrationRecord
+    """What was measured."""
     public_key: str = Field(pattern=r"^[0-9a-f]{64}$")
     """Ed25519, of the daemon that measured."""
     signature: str = Field(pattern=r"^[0-9a-f]{128}$")
@@ -98,12 +103,14 @@ class SceneConfirmation(Question):
     """The scene that is waited for is set."""
 
     scene: SceneName
+    """Scene that somebody has set."""
 
 
 class CalibrationRun(Answer):
     """Progress of a calibration, or its end."""
 
     stage: Stage
+    """What it does now."""
     scene: SceneName | None
     """What is, or should be, in front of the camera; None before the first and after the last."""
     instruction: str | None

@@ -20,9 +20,11 @@ class Lease(Answer):
     """Lease of the camera, if there is one."""
 
     held: bool
+    """True: somebody holds the camera."""
     owner: str | None
+    """Name that the holder gave."""
     expires_in_s: float | None
-    """Until it ends by itself."""
+    """Time until it ends by itself [s]."""
     mine: bool
     """Whether who asks is the holder."""
 

@@ -45,8 +45,11 @@ class Device(Answer):
     """The panel and the sensor."""
 
     display: str
+    """Name of the panel."""
     sensor: str
+    """Name of the sensor."""
     simulated: bool
+    """True: both are simulated."""
     key: str
     """Its public Ed25519 key, 64 hexadecimal digits: it signs envelopes."""
 
@@ -55,7 +58,9 @@ class Queue(Answer):
     """Captures admitted and not yet answered, and how many may be."""
 
     waiting: int
+    """Captures that wait."""
     limit: int
+    """Captures that may wait."""
 
 
 class WallClock(Answer):
@@ -71,8 +76,11 @@ class Status(Answer):
     """The daemon at a glance."""
 
     version: str
+    """Version of the daemon."""
     api_version: int
+    """Version of the API."""
     state: State
+    """State of the camera."""
     detail: str | None = None
     """Why the state is not ``ready``."""
     remedy: Remedy | None = None
@@ -80,7 +88,9 @@ class Status(Answer):
     experiment: str | None = None
     """``wrong-classifier`` when labels are meaningless on purpose."""
     uptime_s: float
+    """Time since the start [s]."""
     captures: int
+    """Captures since the start."""
     release: Release
     """In which form embeddings leave."""
     raw_budget: int
@@ -88,9 +98,13 @@ class Status(Answer):
     receivers: tuple[PairedReceiver, ...]
     """To whom epochs are sealed, from the next one on."""
     device: Device
+    """Panel, sensor and key."""
     bundle: BundleInfo
+    """Bundle in use."""
     rotation: Rotation
+    """Policy of mask changes, and the present mask."""
     queue: Queue
+    """Captures that wait."""
     clock: WallClock | None = None
     """None: an older daemon's."""
 
@@ -99,18 +113,26 @@ class PastState(Answer):
     """A state that the daemon entered."""
 
     at: datetime
+    """Time of the change."""
     state: State
+    """State from then on."""
     detail: str | None
+    """Reason, where it was not ``ready``."""
     remedy: Remedy | None = None
+    """What helped, where something failed."""
 
 
 class PastFault(Answer):
     """Something that failed; ``code`` is that of the problem."""
 
     at: datetime
+    """Time of the fault."""
     code: str
+    """Code of the problem."""
     detail: str
+    """What went wrong."""
     remedy: Remedy = "wait"
+    """What helps."""
 
 
 class Diagnostics(Answer):
@@ -136,6 +158,7 @@ class DoctorFinding(Answer):
     """Result of one check of the machine."""
 
     name: str
+    """Name of the check."""
     outcome: Literal["ok", "bad", "skipped"]
     """``bad``: the daemon cannot serve as it should; ``skipped``: another must be well first."""
     found: str
@@ -148,6 +171,7 @@ class DoctorFindings(Answer):
     """Every check that can be made while the daemon holds panel and camera."""
 
     findings: tuple[DoctorFinding, ...]
+    """One for each check."""
 
 
 EXAMPLE_CLOCK = WallClock(zone="Europe/Berlin", synchronised=True)

@@ -39,6 +39,7 @@ class TokenRequest(Question):
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
     """For whom or what it is; it stands in the audit log."""
     scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
+    """What it allows."""
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
     """How long it is valid [s]; None: until it is revoked."""
 
@@ -47,11 +48,17 @@ class Token(Answer):
     """Token as the daemon knows it, without its secret."""
 
     id: str
+    """Name of the token, 12 hexadecimal digits."""
     label: str
+    """For whom or what it is."""
     scopes: tuple[str, ...]
+    """What it allows."""
     created_at: datetime
+    """Time of its creation."""
     expires_at: datetime | None
+    """End of its validity; None: until it is revoked."""
     revoked_at: datetime | None
+    """Time of its revocation; None: it was not."""
     last_used_on: str | None
     """Day of the last request with it, as YYYY-MM-DD in UTC."""
 
@@ -60,12 +67,14 @@ class NewToken(Token):
     """A token just made; ``secret`` is shown this once."""
 
     secret: str = Field(repr=False)
+    """The token itself, as it is sent."""
 
 
 class Tokens(Answer):
     """Tokens, the oldest first, revoked and expired ones included."""
 
     tokens: tuple[Token, ...]
+    """Tokens, the oldest first."""
     next: str | None = None
     """``after`` of the request for those that follow; None: there are no more."""
 
@@ -78,6 +87,7 @@ class Session(Answer):
     label: str
     """Of the token."""
     scopes: tuple[str, ...]
+    """What the caller may do."""
     expires_at: datetime | None
     """When the session ends, or else the token; None: never."""
 

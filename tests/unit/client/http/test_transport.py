@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.unit.client.conftest import CLASSIFICATION, STATUS, Daemon, problem
+from tests.unit.client.conftest import CLASSIFICATION, STATUS, Daemon, camera_of, problem, result
 from tests.unit.client.http.conftest import Both
 from typer.testing import CliRunner
 
@@ -328,6 +328,19 @@ async def test_patience_with_another_holder_ends(both: Both) -> None:
         with pytest.raises(LeasedError):
             await both(ask)
     assert sum(both.waits) <= 1e-9
+
+
+async def test_every_result_names_its_request(both: Both) -> None:
+    def answer(request: httpx.Request) -> httpx.Response:
+        found = both.daemon(request)
+        found.headers["X-Request-Id"] = "r9"
+        return found
+
+    for ask, route, _ in ROUTES:
+        camera = camera_of(both.kind, answer)
+        found = await result(ask(camera))
+        assert found.request_id == "r9", route
+        assert found == await both(ask)  # which has no name
 
 
 async def test_raw_answer_names_its_request(both: Both) -> None:
