@@ -122,19 +122,32 @@ def test_every_example_has_a_test() -> None:
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sdk.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PRINTED = (
+    r"\d \(\d+, \d+\)",
+    r"\['\d', '\d', '\d'\] Camera\('http://127.0.0.1:8787'\)",
+    r"\w+ application/json \d",
+    r"seen \d",
+    r"digit \d\nrefused \w+",
+)
+
+
+@pytest.fixture(scope="module")
+def raw() -> Iterator[FakeCamera]:
+    with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
+        yield fake
 
 
 @pytest.mark.slow
 @pytest.mark.numerical
-def test_blocks_run(lead_to: Lead, capsys: pytest.CaptureFixture[str]) -> None:
-    assert len(BLOCKS) == 7
-    with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
-        lead_to(fake)
-        names: dict[str, object] = {}
-        for block in BLOCKS:
-            exec(compile(block, str(PAGE), "exec"), names)
-    assert str(names["label"]).isdigit()
-    printed = capsys.readouterr().out
-    assert "events were missed" in printed
-    assert "application/json" in printed
+@pytest.mark.parametrize(("program", "printed"), [*zip(PROGRAMS, PRINTED, strict=True)])
+def test_program_of_the_page_runs(
+    raw: FakeCamera, lead_to: Lead, capsys: pytest.CaptureFixture[str], program: str, printed: str
+) -> None:
+    lead_to(raw)
+    exec(compile(program, str(PAGE), "exec"), {})
+    assert re.fullmatch(printed, capsys.readouterr().out.strip())
+
+
+def test_page_of_the_sdk_is_short() -> None:
+    assert len(PAGE.read_text().split()) <= 1500
