@@ -36,7 +36,7 @@ WORDS = tuple(
         ("StopAsyncIteration", "StopIteration"),
         ("asynccontextmanager", "contextmanager"),
         ("(__)a(enter|exit|iter|next)__", r"\1\2__"),
-        (r"(a)(next|iter_sse|close|closing)\b", r"\2"),
+        (r"(a)(next|iter_bytes|iter_sse|close|closing)\b", r"\2"),
         (r"asyncio\.to_thread\((\w+), (\w+)\)", r"\1(\2)"),
         (r"asyncio\.sleep", "time.sleep"),
         ("import asyncio", "import time"),

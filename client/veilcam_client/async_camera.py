@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import ParamSpec, Self, TypeVar
 
+from veilcam_client.arguments import model
 from veilcam_client.async_resources import (
     AsyncBundleResource,
     AsyncCalibrationResource,
@@ -20,15 +21,20 @@ from veilcam_client.async_resources import (
     AsyncWatchResource,
 )
 from veilcam_client.discovery import FoundCamera, discover
-from veilcam_client.http import calls
 from veilcam_client.http.answers import RawResponse, kept_answers, raw_response
 from veilcam_client.http.async_streams import AsyncEventStream
 from veilcam_client.http.async_transport import AsyncHttpClient, AsyncTransport
+from veilcam_client.http.calls import Call
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.http.options import Options, RetryPolicy, address, follow_environment
 from veilcam_client.keys.opening import KeySource, opened, opener_of
-from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.captures import (
+    NPY_MEDIA_TYPE,
+    Capture,
+    Classification,
+    ClassificationRequest,
+)
 from veilcam_client.wire.status import Diagnostics, Status
 
 P = ParamSpec("P")
@@ -135,13 +141,16 @@ class AsyncCamera:
 
     async def status(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Status:
         """Return state, device, bundle, rotation and queue of the daemon."""
-        return await self._transport.send(calls.STATUS, timeout)
+        return await self._transport.send(Call("GET", "/v1/status", Status), timeout)
 
     async def capture(
         self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array, if ``key`` opens it."""
-        return opened(await self._transport.send(calls.CAPTURE, timeout, wait=wait), self._opener)
+        # As an array where it is one: it is read several times faster, and a sealed one is none.
+        accept = f"{NPY_MEDIA_TYPE}, application/json;q=0.9"
+        call = Call("POST", "/v1/captures", Capture, once=True, accept=accept)
+        return opened(await self._transport.send(call, timeout, wait=wait), self._opener)
 
     async def classify(
         self,
@@ -151,12 +160,15 @@ class AsyncCamera:
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Classification:
         """Take one embedding and classify it on the device."""
-        answer = await self._transport.send(calls.classify(include_embedding), timeout, wait=wait)
-        return opened(answer, self._opener)
+        # What a body would say goes without saying, and without it the request is one packet.
+        asked = model(ClassificationRequest, {"include_embedding": include_embedding})
+        body = asked if asked.include_embedding else None
+        call = Call("POST", "/v1/classifications", Classification, body, once=True)
+        return opened(await self._transport.send(call, timeout, wait=wait), self._opener)
 
     async def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
         """Return versions, settings, and the last states and faults of the daemon."""
-        return await self._transport.send(calls.DIAGNOSTICS, timeout)
+        return await self._transport.send(Call("GET", "/v1/diagnostics", Diagnostics), timeout)
 
     def events(
         self, *, last_event_id: str | None = None, reconnect: bool = True

@@ -6,24 +6,48 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
-from veilcam_client.http import calls
+from veilcam_client.arguments import model, of_type, whole
 from veilcam_client.http.async_transport import AsyncTransport
+from veilcam_client.http.calls import Call, part
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.wire.base import Nothing
-from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
-from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
-from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
+from veilcam_client.wire.calibration import (
+    CalibrationRequest,
+    CalibrationRun,
+    CalibrationStatus,
+    SceneConfirmation,
+    SceneName,
+)
+from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
-from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.sealing import PairedReceiver, Receivers
-from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
-from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
-from veilcam_client.wire.watch import Watch, WatchPolicy
+from veilcam_client.wire.rotation import (
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+)
+from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes, picture_media_type
+from veilcam_client.wire.tokens import (
+    MOST_TOKENS,
+    TOKENS_AT_ONCE,
+    NewToken,
+    Scope,
+    Token,
+    TokenRequest,
+    Tokens,
+)
+from veilcam_client.wire.watch import OnRequest, Watch, Watching, WatchOff, WatchPolicy
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from veilcam_client.keys.receivers import Receiver
+
+
+_CALIBRATION = "/v1/calibration"
 
 
 class AsyncResource:
@@ -38,13 +62,16 @@ class AsyncBundleResource(AsyncResource):
 
     async def list(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> InstalledBundles:
         """Return all bundles; one of them is ``active``."""
-        return await self._transport.send(calls.BUNDLES, timeout)
+        return await self._transport.send(Call("GET", "/v1/bundles", InstalledBundles), timeout)
 
     async def install(
         self, bundle: bytes, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return await self._transport.send(calls.install_bundle(bundle), timeout)
+        of_type("bundle", bundle, bytes, "the content of its file")
+        # To repeat it changes nothing.
+        call = Call("POST", "/v1/bundles", InstalledBundle, bundle, BUNDLE_MEDIA_TYPE)
+        return await self._transport.send(call, timeout)
 
     async def activate(
         self,
@@ -59,14 +86,18 @@ class AsyncBundleResource(AsyncResource):
         One of an older version than that in use is refused unless ``allow_older``, and always where
         the daemon wants its owner's signature.
         """
-        call = calls.activate_bundle(digest, allow_older)
+        of_type("allow_older", allow_older, bool, "True or False")
+        query = "?allow_older=true" if allow_older else ""
+        path = f"/v1/bundles/{part('digest', digest)}/activate{query}"
+        call = Call("POST", path, InstalledBundle, once=True)
         return await self._transport.send(call, timeout, wait=wait)
 
     async def remove(
         self, digest: str, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> InstalledBundles:
         """Remove a bundle that is not in use, for good; return those that are left."""
-        return await self._transport.send(calls.remove_bundle(digest), timeout)
+        call = Call("DELETE", f"/v1/bundles/{part('digest', digest)}", InstalledBundles)
+        return await self._transport.send(call, timeout)
 
 
 class AsyncTokenResource(AsyncResource):
@@ -86,7 +117,9 @@ class AsyncTokenResource(AsyncResource):
             after: id of the token after which others are wanted, as ``next`` of an answer names it.
             timeout: time-out of the call in all [s].
         """
-        return await self._transport.send(calls.tokens(limit, after), timeout)
+        start = "" if after is None else f"&after={part('after', after)}"
+        path = f"/v1/tokens?limit={whole('limit', limit, 1, MOST_TOKENS)}{start}"
+        return await self._transport.send(Call("GET", path, Tokens), timeout)
 
     async def create(
         self,
@@ -97,11 +130,14 @@ class AsyncTokenResource(AsyncResource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewToken:
         """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return await self._transport.send(calls.create_token(label, scopes, seconds), timeout)
+        asked = model(TokenRequest, {"label": label, "scopes": scopes, "seconds": seconds})
+        call = Call("POST", "/v1/tokens", NewToken, asked, once=True)
+        return await self._transport.send(call, timeout)
 
     async def revoke(self, token_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Token:
         """End a token now."""
-        return await self._transport.send(calls.revoke_token(token_id), timeout)
+        call = Call("DELETE", f"/v1/tokens/{part('token_id', token_id)}", Token)
+        return await self._transport.send(call, timeout)
 
 
 class AsyncReceiverResource(AsyncResource):
@@ -109,7 +145,7 @@ class AsyncReceiverResource(AsyncResource):
 
     async def list(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
         """Return all receivers, and the key of the device that seals to them."""
-        return await self._transport.send(calls.RECEIVERS, timeout)
+        return await self._transport.send(Call("GET", "/v1/receivers", Receivers), timeout)
 
     async def add(
         self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
@@ -121,11 +157,14 @@ class AsyncReceiverResource(AsyncResource):
             key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
             timeout: time-out of the call in all [s].
         """
-        return await self._transport.send(calls.add_receiver(label, str(key)), timeout)
+        asked = model(ReceiverRequest, {"label": label, "key": str(key)})
+        call = Call("POST", "/v1/receivers", PairedReceiver, asked, once=True)
+        return await self._transport.send(call, timeout)
 
     async def remove(self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Nothing:
         """Seal to a receiver no more, from the next mask on; what it has it still opens."""
-        return await self._transport.send(calls.remove_receiver(receiver_id), timeout)
+        call = Call("DELETE", f"/v1/receivers/{part('receiver_id', receiver_id)}", Nothing)
+        return await self._transport.send(call, timeout)
 
 
 class AsyncCalibrationResource(AsyncResource):
@@ -133,7 +172,7 @@ class AsyncCalibrationResource(AsyncResource):
 
     async def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
         """Return the calibration in use, and the progress of a running one."""
-        return await self._transport.send(calls.CALIBRATION, timeout)
+        return await self._transport.send(Call("GET", _CALIBRATION, CalibrationStatus), timeout)
 
     async def start(
         self, *, repeats: int = 2, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
@@ -143,17 +182,21 @@ class AsyncCalibrationResource(AsyncResource):
         It goes on by itself but for scenes that somebody must set: see ``stage`` and
         ``instruction`` of :meth:`get` or of the events, and :meth:`confirm`.
         """
-        return await self._transport.send(calls.start_calibration(repeats), timeout, wait=wait)
+        asked = model(CalibrationRequest, {"repeats": repeats})
+        call = Call("POST", _CALIBRATION, CalibrationRun, asked, once=True)
+        return await self._transport.send(call, timeout, wait=wait)
 
     async def confirm(
         self, scene: SceneName, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> CalibrationRun:
         """Confirm that the scene that the calibration waits for is set."""
-        return await self._transport.send(calls.confirm_scene(scene), timeout)
+        asked = model(SceneConfirmation, {"scene": scene})
+        call = Call("POST", f"{_CALIBRATION}/scene", CalibrationRun, asked, once=True)
+        return await self._transport.send(call, timeout)
 
     async def cancel(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return await self._transport.send(calls.CANCEL_CALIBRATION, timeout)
+        return await self._transport.send(Call("DELETE", _CALIBRATION, CalibrationRun), timeout)
 
 
 class AsyncRotationResource(AsyncResource):
@@ -161,7 +204,7 @@ class AsyncRotationResource(AsyncResource):
 
     async def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
         """Return the rotation policy and the present mask epoch."""
-        return await self._transport.send(calls.ROTATION, timeout)
+        return await self._transport.send(Call("GET", "/v1/rotation", Rotation), timeout)
 
     async def set(
         self,
@@ -171,13 +214,17 @@ class AsyncRotationResource(AsyncResource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Rotation:
         """Change when masks change."""
-        return await self._transport.send(calls.set_rotation(policy), timeout, wait=wait)
+        kinds = (RotationOff, EverySeconds, EveryCaptures)
+        of_type("policy", policy, kinds, "RotationOff, EverySeconds or EveryCaptures")
+        call = Call("PUT", "/v1/rotation", Rotation, policy)
+        return await self._transport.send(call, timeout, wait=wait)
 
     async def advance(
         self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> Rotation:
         """Show another mask now."""
-        return await self._transport.send(calls.ROTATE, timeout, wait=wait)
+        call = Call("POST", "/v1/rotation/advance", Rotation, once=True)
+        return await self._transport.send(call, timeout, wait=wait)
 
 
 class AsyncWatchResource(AsyncResource):
@@ -185,7 +232,7 @@ class AsyncWatchResource(AsyncResource):
 
     async def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
         """Return the policy of the watch, and the belief of the camera about the scene."""
-        return await self._transport.send(calls.WATCH, timeout)
+        return await self._transport.send(Call("GET", "/v1/watch", Watch), timeout)
 
     async def set(
         self,
@@ -195,7 +242,11 @@ class AsyncWatchResource(AsyncResource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Watch:
         """Let the camera look by itself, or on request alone, or not at all."""
-        return await self._transport.send(calls.set_watch(policy), timeout, wait=wait)
+        kinds = (WatchOff, OnRequest, Watching)
+        of_type("policy", policy, kinds, "WatchOff, OnRequest or Watching")
+        return await self._transport.send(
+            Call("PUT", "/v1/watch", Watch, policy), timeout, wait=wait
+        )
 
 
 class AsyncLogResource(AsyncResource):
@@ -215,11 +266,13 @@ class AsyncLogResource(AsyncResource):
             after: position after which records are wanted, as ``next`` of an answer names it.
             timeout: time-out of the call in all [s].
         """
-        return await self._transport.send(calls.log(limit, after), timeout)
+        start = "" if after is None else f"&after={whole('after', after, 0)}"
+        path = f"/v1/log?limit={whole('limit', limit, 1, RECORDS_AT_ONCE)}{start}"
+        return await self._transport.send(Call("GET", path, LogRecords), timeout)
 
     async def head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
         """Return the signed end of the log: keep it, and what is dropped from that end shows."""
-        return await self._transport.send(calls.LOG_HEAD, timeout)
+        return await self._transport.send(Call("GET", "/v1/log/head", LogHead), timeout)
 
 
 class AsyncSimulationResource(AsyncResource):
@@ -235,13 +288,17 @@ class AsyncSimulationResource(AsyncResource):
                 (rows, columns) or (rows, columns, 3), uint8, or floats in [0, 1].
             timeout: time-out of the call in all [s].
         """
-        if picture is None:
-            return await self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
-        return await self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
+        call = Call("DELETE", "/v1/simulation/scene", HeldScene)
+        if picture is not None:
+            content = picture_bytes(picture)
+            call = Call("PUT", call.path, HeldScene, content, picture_media_type(content))
+        return await self._transport.send(call, timeout)
 
     async def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
         """Break the camera; ``Faults()`` mends it. Return its faults from now on."""
-        return await self._transport.send(calls.set_faults(faults), timeout)
+        of_type("faults", faults, Faults, "Faults(...)")
+        call = Call("PUT", "/v1/simulation/faults", Faults, faults)
+        return await self._transport.send(call, timeout)
 
 
 class AsyncLeaseResource(AsyncResource):
@@ -249,7 +306,7 @@ class AsyncLeaseResource(AsyncResource):
 
     async def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Return the holder of the camera, and the remaining time."""
-        return await self._transport.send(calls.LEASE_STATE, timeout)
+        return await self._transport.send(Call("GET", "/v1/lease", Lease), timeout)
 
     async def take(
         self,
@@ -260,13 +317,15 @@ class AsyncLeaseResource(AsyncResource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = await self._transport.send(calls.take_lease(seconds, owner), timeout, wait=wait)
+        asked = model(LeaseRequest, {"owner": owner, "seconds": seconds})
+        call = Call("POST", "/v1/lease", NewLease, asked, once=True)
+        taken = await self._transport.send(call, timeout, wait=wait)
         self._transport.options.credentials.lease = taken.secret
         return taken
 
     async def release(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Hold the camera no longer."""
-        released = await self._transport.send(calls.release_lease(), timeout)
+        released = await self._transport.send(Call("DELETE", "/v1/lease", Lease), timeout)
         self._transport.options.credentials.lease = None
         return released
 
@@ -288,4 +347,5 @@ class AsyncLeaseResource(AsyncResource):
 
     async def revoke(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return await self._transport.send(calls.release_lease(force=True), timeout)
+        call = Call("DELETE", "/v1/lease?force=true", Lease)
+        return await self._transport.send(call, timeout)

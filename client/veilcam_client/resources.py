@@ -7,24 +7,48 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from veilcam_client.http import calls
+from veilcam_client.arguments import model, of_type, whole
+from veilcam_client.http.calls import Call, part
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.http.transport import Transport
 from veilcam_client.wire.base import Nothing
-from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
-from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
-from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
+from veilcam_client.wire.calibration import (
+    CalibrationRequest,
+    CalibrationRun,
+    CalibrationStatus,
+    SceneConfirmation,
+    SceneName,
+)
+from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
-from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.sealing import PairedReceiver, Receivers
-from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
-from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
-from veilcam_client.wire.watch import Watch, WatchPolicy
+from veilcam_client.wire.rotation import (
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+)
+from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes, picture_media_type
+from veilcam_client.wire.tokens import (
+    MOST_TOKENS,
+    TOKENS_AT_ONCE,
+    NewToken,
+    Scope,
+    Token,
+    TokenRequest,
+    Tokens,
+)
+from veilcam_client.wire.watch import OnRequest, Watch, Watching, WatchOff, WatchPolicy
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from veilcam_client.keys.receivers import Receiver
+
+
+_CALIBRATION = "/v1/calibration"
 
 
 class Resource:
@@ -39,11 +63,14 @@ class BundleResource(Resource):
 
     def list(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> InstalledBundles:
         """Return all bundles; one of them is ``active``."""
-        return self._transport.send(calls.BUNDLES, timeout)
+        return self._transport.send(Call("GET", "/v1/bundles", InstalledBundles), timeout)
 
     def install(self, bundle: bytes, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return self._transport.send(calls.install_bundle(bundle), timeout)
+        of_type("bundle", bundle, bytes, "the content of its file")
+        # To repeat it changes nothing.
+        call = Call("POST", "/v1/bundles", InstalledBundle, bundle, BUNDLE_MEDIA_TYPE)
+        return self._transport.send(call, timeout)
 
     def activate(
         self,
@@ -58,12 +85,16 @@ class BundleResource(Resource):
         One of an older version than that in use is refused unless ``allow_older``, and always where
         the daemon wants its owner's signature.
         """
-        call = calls.activate_bundle(digest, allow_older)
+        of_type("allow_older", allow_older, bool, "True or False")
+        query = "?allow_older=true" if allow_older else ""
+        path = f"/v1/bundles/{part('digest', digest)}/activate{query}"
+        call = Call("POST", path, InstalledBundle, once=True)
         return self._transport.send(call, timeout, wait=wait)
 
     def remove(self, digest: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> InstalledBundles:
         """Remove a bundle that is not in use, for good; return those that are left."""
-        return self._transport.send(calls.remove_bundle(digest), timeout)
+        call = Call("DELETE", f"/v1/bundles/{part('digest', digest)}", InstalledBundles)
+        return self._transport.send(call, timeout)
 
 
 class TokenResource(Resource):
@@ -83,7 +114,9 @@ class TokenResource(Resource):
             after: id of the token after which others are wanted, as ``next`` of an answer names it.
             timeout: time-out of the call in all [s].
         """
-        return self._transport.send(calls.tokens(limit, after), timeout)
+        start = "" if after is None else f"&after={part('after', after)}"
+        path = f"/v1/tokens?limit={whole('limit', limit, 1, MOST_TOKENS)}{start}"
+        return self._transport.send(Call("GET", path, Tokens), timeout)
 
     def create(
         self,
@@ -94,11 +127,14 @@ class TokenResource(Resource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewToken:
         """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return self._transport.send(calls.create_token(label, scopes, seconds), timeout)
+        asked = model(TokenRequest, {"label": label, "scopes": scopes, "seconds": seconds})
+        call = Call("POST", "/v1/tokens", NewToken, asked, once=True)
+        return self._transport.send(call, timeout)
 
     def revoke(self, token_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Token:
         """End a token now."""
-        return self._transport.send(calls.revoke_token(token_id), timeout)
+        call = Call("DELETE", f"/v1/tokens/{part('token_id', token_id)}", Token)
+        return self._transport.send(call, timeout)
 
 
 class ReceiverResource(Resource):
@@ -106,7 +142,7 @@ class ReceiverResource(Resource):
 
     def list(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
         """Return all receivers, and the key of the device that seals to them."""
-        return self._transport.send(calls.RECEIVERS, timeout)
+        return self._transport.send(Call("GET", "/v1/receivers", Receivers), timeout)
 
     def add(
         self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
@@ -118,11 +154,14 @@ class ReceiverResource(Resource):
             key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
             timeout: time-out of the call in all [s].
         """
-        return self._transport.send(calls.add_receiver(label, str(key)), timeout)
+        asked = model(ReceiverRequest, {"label": label, "key": str(key)})
+        call = Call("POST", "/v1/receivers", PairedReceiver, asked, once=True)
+        return self._transport.send(call, timeout)
 
     def remove(self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Nothing:
         """Seal to a receiver no more, from the next mask on; what it has it still opens."""
-        return self._transport.send(calls.remove_receiver(receiver_id), timeout)
+        call = Call("DELETE", f"/v1/receivers/{part('receiver_id', receiver_id)}", Nothing)
+        return self._transport.send(call, timeout)
 
 
 class CalibrationResource(Resource):
@@ -130,7 +169,7 @@ class CalibrationResource(Resource):
 
     def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
         """Return the calibration in use, and the progress of a running one."""
-        return self._transport.send(calls.CALIBRATION, timeout)
+        return self._transport.send(Call("GET", _CALIBRATION, CalibrationStatus), timeout)
 
     def start(
         self, *, repeats: int = 2, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
@@ -140,15 +179,19 @@ class CalibrationResource(Resource):
         It goes on by itself but for scenes that somebody must set: see ``stage`` and
         ``instruction`` of :meth:`get` or of the events, and :meth:`confirm`.
         """
-        return self._transport.send(calls.start_calibration(repeats), timeout, wait=wait)
+        asked = model(CalibrationRequest, {"repeats": repeats})
+        call = Call("POST", _CALIBRATION, CalibrationRun, asked, once=True)
+        return self._transport.send(call, timeout, wait=wait)
 
     def confirm(self, scene: SceneName, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
         """Confirm that the scene that the calibration waits for is set."""
-        return self._transport.send(calls.confirm_scene(scene), timeout)
+        asked = model(SceneConfirmation, {"scene": scene})
+        call = Call("POST", f"{_CALIBRATION}/scene", CalibrationRun, asked, once=True)
+        return self._transport.send(call, timeout)
 
     def cancel(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return self._transport.send(calls.CANCEL_CALIBRATION, timeout)
+        return self._transport.send(Call("DELETE", _CALIBRATION, CalibrationRun), timeout)
 
 
 class RotationResource(Resource):
@@ -156,7 +199,7 @@ class RotationResource(Resource):
 
     def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
         """Return the rotation policy and the present mask epoch."""
-        return self._transport.send(calls.ROTATION, timeout)
+        return self._transport.send(Call("GET", "/v1/rotation", Rotation), timeout)
 
     def set(
         self,
@@ -166,13 +209,17 @@ class RotationResource(Resource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Rotation:
         """Change when masks change."""
-        return self._transport.send(calls.set_rotation(policy), timeout, wait=wait)
+        kinds = (RotationOff, EverySeconds, EveryCaptures)
+        of_type("policy", policy, kinds, "RotationOff, EverySeconds or EveryCaptures")
+        call = Call("PUT", "/v1/rotation", Rotation, policy)
+        return self._transport.send(call, timeout, wait=wait)
 
     def advance(
         self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> Rotation:
         """Show another mask now."""
-        return self._transport.send(calls.ROTATE, timeout, wait=wait)
+        call = Call("POST", "/v1/rotation/advance", Rotation, once=True)
+        return self._transport.send(call, timeout, wait=wait)
 
 
 class WatchResource(Resource):
@@ -180,7 +227,7 @@ class WatchResource(Resource):
 
     def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
         """Return the policy of the watch, and the belief of the camera about the scene."""
-        return self._transport.send(calls.WATCH, timeout)
+        return self._transport.send(Call("GET", "/v1/watch", Watch), timeout)
 
     def set(
         self,
@@ -190,7 +237,9 @@ class WatchResource(Resource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> Watch:
         """Let the camera look by itself, or on request alone, or not at all."""
-        return self._transport.send(calls.set_watch(policy), timeout, wait=wait)
+        kinds = (WatchOff, OnRequest, Watching)
+        of_type("policy", policy, kinds, "WatchOff, OnRequest or Watching")
+        return self._transport.send(Call("PUT", "/v1/watch", Watch, policy), timeout, wait=wait)
 
 
 class LogResource(Resource):
@@ -210,11 +259,13 @@ class LogResource(Resource):
             after: position after which records are wanted, as ``next`` of an answer names it.
             timeout: time-out of the call in all [s].
         """
-        return self._transport.send(calls.log(limit, after), timeout)
+        start = "" if after is None else f"&after={whole('after', after, 0)}"
+        path = f"/v1/log?limit={whole('limit', limit, 1, RECORDS_AT_ONCE)}{start}"
+        return self._transport.send(Call("GET", path, LogRecords), timeout)
 
     def head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
         """Return the signed end of the log: keep it, and what is dropped from that end shows."""
-        return self._transport.send(calls.LOG_HEAD, timeout)
+        return self._transport.send(Call("GET", "/v1/log/head", LogHead), timeout)
 
 
 class SimulationResource(Resource):
@@ -230,13 +281,17 @@ class SimulationResource(Resource):
                 (rows, columns) or (rows, columns, 3), uint8, or floats in [0, 1].
             timeout: time-out of the call in all [s].
         """
-        if picture is None:
-            return self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
-        return self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
+        call = Call("DELETE", "/v1/simulation/scene", HeldScene)
+        if picture is not None:
+            content = picture_bytes(picture)
+            call = Call("PUT", call.path, HeldScene, content, picture_media_type(content))
+        return self._transport.send(call, timeout)
 
     def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
         """Break the camera; ``Faults()`` mends it. Return its faults from now on."""
-        return self._transport.send(calls.set_faults(faults), timeout)
+        of_type("faults", faults, Faults, "Faults(...)")
+        call = Call("PUT", "/v1/simulation/faults", Faults, faults)
+        return self._transport.send(call, timeout)
 
 
 class LeaseResource(Resource):
@@ -244,7 +299,7 @@ class LeaseResource(Resource):
 
     def get(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Return the holder of the camera, and the remaining time."""
-        return self._transport.send(calls.LEASE_STATE, timeout)
+        return self._transport.send(Call("GET", "/v1/lease", Lease), timeout)
 
     def take(
         self,
@@ -255,13 +310,15 @@ class LeaseResource(Resource):
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = self._transport.send(calls.take_lease(seconds, owner), timeout, wait=wait)
+        asked = model(LeaseRequest, {"owner": owner, "seconds": seconds})
+        call = Call("POST", "/v1/lease", NewLease, asked, once=True)
+        taken = self._transport.send(call, timeout, wait=wait)
         self._transport.options.credentials.lease = taken.secret
         return taken
 
     def release(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Hold the camera no longer."""
-        released = self._transport.send(calls.release_lease(), timeout)
+        released = self._transport.send(Call("DELETE", "/v1/lease", Lease), timeout)
         self._transport.options.credentials.lease = None
         return released
 
@@ -283,4 +340,5 @@ class LeaseResource(Resource):
 
     def revoke(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return self._transport.send(calls.release_lease(force=True), timeout)
+        call = Call("DELETE", "/v1/lease?force=true", Lease)
+        return self._transport.send(call, timeout)

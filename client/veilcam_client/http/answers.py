@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -105,7 +105,7 @@ def check_call(response: httpx.Response) -> None:
         )
 
 
-class _Body:
+class Body:
     """A body that grows piece by piece, neither beyond its limit nor after the deadline.
 
     Raises:
@@ -141,22 +141,6 @@ class _Body:
         return unreadable(self._response, f"an answer of more than {MAX_ANSWER >> 20} MiB")
 
 
-async def async_whole_answer(response: httpx.Response, deadline: float) -> Received:
-    """Return an answer with its whole body, within its limits."""
-    body = _Body(response, deadline)
-    async for piece in response.aiter_bytes():
-        body.add(piece)
-    return body.received()
-
-
-def whole_answer(response: httpx.Response, deadline: float) -> Received:
-    """Return an answer with its whole body, as :func:`async_whole_answer` does."""
-    body = _Body(response, deadline)
-    for piece in response.iter_bytes():
-        body.add(piece)
-    return body.received()
-
-
 class EventSize:
     """Size of one event of a stream, which must end within a limit."""
 
@@ -167,17 +151,8 @@ class EventSize:
         """Note the end of an event."""
         self._size = 0
 
-    async def async_bounded(self, response: httpx.Response) -> AsyncIterator[bytes]:
-        """Pieces of a stream; raises ProtocolError for an event without an end."""
-        async for piece in response.aiter_bytes():
-            yield self._checked(piece)
-
-    def bounded(self, response: httpx.Response) -> Iterator[bytes]:
-        """Pieces of a stream, as :meth:`async_bounded` yields them."""
-        for piece in response.iter_bytes():
-            yield self._checked(piece)
-
-    def _checked(self, piece: bytes) -> bytes:
+    def checked(self, piece: bytes) -> bytes:
+        """Return the next piece of a stream; raises ProtocolError for an event without an end."""
         self._size += len(piece)
         if self._size > MAX_EVENT:
             raise ProtocolError(f"the server sent an event of more than {MAX_EVENT >> 20} MiB")

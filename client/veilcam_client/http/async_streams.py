@@ -14,7 +14,6 @@ from httpx_sse import EventSource
 from veilcam_client.errors import ConnectError, VeilcamError
 from veilcam_client.http.answers import (
     EventSize,
-    async_whole_answer,
     check_call,
     error_of,
     event_of,
@@ -23,7 +22,7 @@ from veilcam_client.http.answers import (
     unreadable,
 )
 from veilcam_client.http.async_ends import AsyncEnd
-from veilcam_client.http.async_transport import AsyncTransport
+from veilcam_client.http.async_transport import AsyncTransport, async_whole_answer
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
 from veilcam_client.http.resumption import Resumption, check_stream
 from veilcam_client.wire.events import EVENT_KINDS, Event
@@ -127,7 +126,7 @@ class AsyncEventStream:
                     bounded = httpx.Response(
                         response.status_code,
                         headers={"Content-Type": "text/event-stream; charset=utf-8"},
-                        content=size.async_bounded(response),
+                        content=_bounded(response, size),
                     )
                     async for message in EventSource(bounded).aiter_sse():
                         size.ended()
@@ -135,3 +134,8 @@ class AsyncEventStream:
                             yield event_of(message)
         # Ended without an error: the daemon stops, or restarts.
         raise ConnectError(f"{options.url} ended the stream")
+
+
+async def _bounded(response: httpx.Response, size: EventSize) -> AsyncGenerator[bytes, None]:
+    async for piece in response.aiter_bytes():
+        yield size.checked(piece)

@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from veilcam_client.arguments import of_type
 from veilcam_client.errors import VeilcamError
 from veilcam_client.http.answers import (
+    Body,
     Received,
-    async_whole_answer,
     check_call,
     keep,
     new_call,
@@ -96,3 +96,11 @@ class AsyncTransport:
         client = self._holder.close()
         if client is not None:
             await client.aclose()
+
+
+async def async_whole_answer(response: httpx.Response, deadline: float) -> Received:
+    """Return an answer with its whole body, within its limits."""
+    body = Body(response, deadline)
+    async for piece in response.aiter_bytes():
+        body.add(piece)
+    return body.received()

@@ -21,12 +21,11 @@ from veilcam_client.http.answers import (
     media_type,
     new_call,
     unreadable,
-    whole_answer,
 )
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
 from veilcam_client.http.ends import End
 from veilcam_client.http.resumption import Resumption, check_stream
-from veilcam_client.http.transport import Transport
+from veilcam_client.http.transport import Transport, whole_answer
 from veilcam_client.wire.events import EVENT_KINDS, Event
 
 
@@ -124,7 +123,7 @@ class EventStream:
                     bounded = httpx.Response(
                         response.status_code,
                         headers={"Content-Type": "text/event-stream; charset=utf-8"},
-                        content=size.bounded(response),
+                        content=_bounded(response, size),
                     )
                     for message in EventSource(bounded).iter_sse():
                         size.ended()
@@ -132,3 +131,8 @@ class EventStream:
                             yield event_of(message)
         # Ended without an error: the daemon stops, or restarts.
         raise ConnectError(f"{options.url} ended the stream")
+
+
+def _bounded(response: httpx.Response, size: EventSize) -> Generator[bytes, None, None]:
+    for piece in response.iter_bytes():
+        yield size.checked(piece)

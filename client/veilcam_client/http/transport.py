@@ -13,13 +13,13 @@ from pydantic import BaseModel
 from veilcam_client.arguments import of_type
 from veilcam_client.errors import VeilcamError
 from veilcam_client.http.answers import (
+    Body,
     Received,
     check_call,
     keep,
     new_call,
     note,
     read,
-    whole_answer,
 )
 from veilcam_client.http.calls import Call
 from veilcam_client.http.clients import ClientHolder, own_client, place
@@ -94,3 +94,11 @@ class Transport:
         client = self._holder.close()
         if client is not None:
             client.close()
+
+
+def whole_answer(response: httpx.Response, deadline: float) -> Received:
+    """Return an answer with its whole body, within its limits."""
+    body = Body(response, deadline)
+    for piece in response.iter_bytes():
+        body.add(piece)
+    return body.received()

@@ -101,7 +101,7 @@ class Problem(Described):
     status: int
     """Status code of HTTP."""
     detail: str
-    """What went wrong, and what to do."""
+    """Fault, and what to do."""
     instance: str
     """Path of the request."""
     code: str

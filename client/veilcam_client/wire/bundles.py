@@ -33,7 +33,7 @@ class CardSummary(Answer):
     mode: str
     """The masks that were attacked: ``fresh``, ``random``, or ``pairs`` and their number."""
     form: str
-    """In which embeddings left the attacked camera."""
+    """Form of embeddings of the attacked camera."""
     quick: bool
     """Few masks and light attackers."""
     made_at: datetime
@@ -46,7 +46,7 @@ class MaskHiding(Answer):
     """Figures of what a bundle's masks hide, as its maker measured it without a key."""
 
     visible: bool
-    """Whether a mask shows pictures of the scene to an eye."""
+    """True: a mask shows pictures of the scene to an eye."""
     found: tuple[str, ...]
     """A sentence for each attacker: eye, machine with candidates, machine with the task."""
 
@@ -67,13 +67,13 @@ class BundleInfo(Answer):
     pairs: int
     """Stored masks; 0 in mode ``fresh``."""
     version: int = 0
-    """Of its owner's choice, from 1 on; 0 for one that has none."""
+    """Version that its owner chose, from 1 on; 0: none."""
     signed_by: str | None = None
     """First digits of the SHA-256 of its owner's key; None for one that is not signed."""
     card: CardSummary | None = None
     """Its privacy card; None where it has none, or one of other masks."""
     hiding: MaskHiding | None = None
-    """What its masks hide; None where nobody measured it."""
+    """Figures of what its masks hide; None: nobody measured them."""
 
 
 class InstalledBundle(Answer):
@@ -84,11 +84,11 @@ class InstalledBundle(Answer):
     size: int
     """Size of its file [bytes]."""
     active: bool
-    """Whether masks and classifiers come from it now."""
+    """True: masks and classifiers come from it."""
     configured: bool
-    """Whether the daemon was started with it; it cannot be removed."""
+    """True: the daemon was started with it, and it cannot be removed."""
     bundle: BundleInfo | None = None
-    """What it holds; None for a file that was damaged on the disk."""
+    """Content; None for a file that was damaged on the disk."""
 
 
 class InstalledBundles(Answer):

@@ -38,7 +38,7 @@ class Embedding(PicturedArray):
     """
 
     form: Literal["white", "raw"]
-    """How it left the camera."""
+    """Form in which it left the camera."""
     shape: tuple[int, ...]
     """Rows and columns, or channels before them."""
     values: Float32List = Field(repr=False)
@@ -81,7 +81,7 @@ class SealedEmbedding(ArrayAnswer):
     """
 
     form: Literal["sealed"] = "sealed"
-    """How it left the camera."""
+    """Form in which it left the camera."""
     shape: tuple[int, ...]
     """Rows and columns, or channels before them."""
     dtype: Literal["float32"] = "float32"
@@ -117,7 +117,7 @@ class Exposure(Answer):
     """Times between which one mask alone was exposed."""
 
     started_after_shown_s: float
-    """From the end of the write to the panel to the start of the exposure [s]; >= ``settle_s``."""
+    """Time from the end of the write to the panel to the exposure [s]; >= ``settle_s``."""
     settle_s: float
     """Time that the panel was given to settle [s]."""
     duration_s: float
@@ -145,7 +145,7 @@ class Notes(Answer):
     timing: Timing
     """Times of the steps."""
     scene: int | None = None
-    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
+    """Number of the scene of a simulated camera, from 0 on; None for a real one."""
 
 
 class Replay(Answer):
@@ -166,7 +166,7 @@ class Capture(ArrayAnswer):
     epoch: str
     """Random name of one showing of one mask: it tells nothing but equal or not."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch, from 0 on."""
+    """Number of the capture in its epoch, from 0 on."""
     taken_at: datetime
     """To the second."""
     embedding: AnyEmbedding
@@ -174,7 +174,7 @@ class Capture(ArrayAnswer):
     replay: Replay | None = None
     """Origin in a recording; None for a camera."""
     notes: Notes | None = None
-    """Of a sealed embedding that was opened; nothing of them goes over the wire in the clear."""
+    """Notes of a sealed embedding that was opened; they are never sent in the clear."""
 
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""
@@ -225,11 +225,11 @@ class Classification(ArrayAnswer):
     """The label of what the camera saw."""
 
     id: str
-    """As of :class:`Capture`."""
+    """Name of the answer, as of :class:`Capture`."""
     epoch: str
     """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch, from 0 on."""
+    """Number of the capture in its epoch, from 0 on."""
     taken_at: datetime
     """To the second."""
     label: str
@@ -244,7 +244,7 @@ class Classification(ArrayAnswer):
     replay: Replay | None = None
     """Origin in a recording; None for a camera."""
     notes: Notes | None = None
-    """Of a sealed embedding that was opened."""
+    """Notes of a sealed embedding that was opened."""
 
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""

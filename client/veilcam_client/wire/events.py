@@ -31,7 +31,7 @@ class StateChanged(_Event):
     detail: str | None = None
     """Reason, where the state is not ``ready``."""
     remedy: Remedy | None = None
-    """What helps, where the state is ``degraded`` or ``safe``."""
+    """Remedy, where the state is ``degraded`` or ``safe``."""
 
 
 class MaskChanged(_Event):
@@ -53,7 +53,7 @@ class CaptureTaken(_Event):
     epoch: str
     """Random name of one showing of one mask."""
     replay: bool = False
-    """Whether it comes from a recording."""
+    """True: it comes from a recording."""
 
 
 class Classified(_Event):
@@ -62,13 +62,13 @@ class Classified(_Event):
     kind: Literal["classification"] = "classification"
     """Kind of the event."""
     capture: str
-    """As of :class:`CaptureTaken`."""
+    """Name of the capture, as of :class:`CaptureTaken`."""
     epoch: str
     """Random name of one showing of one mask."""
     label: str
     """Most probable label."""
     replay: bool = False
-    """Whether the label comes from a recording."""
+    """True: the label comes from a recording."""
 
 
 class RotationChanged(_Event):
@@ -113,7 +113,7 @@ class Gone(_Event):
     kind: Literal["gone"] = "gone"
     """Kind of the event."""
     label: str
-    """What was seen."""
+    """Label of the object."""
     confidence: float | None = None
     """Probability that it is there no longer, in [0, 1]; as of :class:`Seen`. None where ``reason``
     is ``not_looking``, too."""
@@ -133,9 +133,9 @@ class BundleChanged(_Event):
     task: str
     """Name of the task."""
     version: int = 0
-    """Of its owner's choice; 0 for one that has none."""
+    """Version that its owner chose; 0: none."""
     older: bool = False
-    """Whether that is lower than the version of the bundle before."""
+    """True: the version is lower than that of the bundle before."""
 
 
 class CalibrationChanged(_Event):
@@ -155,9 +155,9 @@ class Fault(_Event):
     code: str
     """Code of the problem."""
     detail: str
-    """What went wrong."""
+    """Description of the fault."""
     remedy: Remedy = "wait"
-    """What helps."""
+    """Remedy."""
 
 
 class Gap(_Event):

@@ -51,7 +51,7 @@ class LoggedCapture(_Signed):
     epoch: str = Field(pattern=_NAME)
     """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch."""
+    """Number of the capture in its epoch."""
     taken_at: Second
     """Time of the capture, to the second."""
     mask: str = Field(pattern=_DIGEST)
@@ -72,7 +72,7 @@ class LogStarted(_Signed):
     at: Second
     """Time of the start, to the second."""
     after: Literal["nothing", "stop", "cut", "damage", "loss"]
-    """What came before: no log; a stop; an end without one, so that what left last may be missing;
+    """Reason of the start: no log; a stop; an end without one, so that the last may be missing;
     records that cannot be read any more; a log of which nothing is left."""
 
 
@@ -120,7 +120,7 @@ class LogRecord(_Signed):
     previous: str = Field(pattern=_DIGEST)
     """SHA-256 of the line before; zeros at position 0."""
     entry: Entry
-    """What happened."""
+    """Content of the record."""
     signature: str = Field(repr=False, pattern=_SIGNATURE)
     """Ed25519 signature of all the rest, 128 hexadecimal digits."""
 
@@ -133,7 +133,7 @@ class LogHead(_Signed):
     device: str = Field(pattern=_DIGEST)
     """Public Ed25519 key of the device, 64 hexadecimal digits."""
     position: _Position
-    """Of the newest record."""
+    """Position of the newest record."""
     record: str = Field(pattern=_DIGEST)
     """SHA-256 of its line."""
     oldest: _Position

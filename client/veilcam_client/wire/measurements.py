@@ -29,9 +29,9 @@ class MeasurementsHeader(Answer):
     mode: Literal["pairs", "fresh"]
     """Masks of the bundle: stored ``pairs``, or ``fresh`` ones."""
     labels: tuple[str, ...]
-    """Of the bundle, in their order."""
+    """Labels of the bundle, in their order."""
     shape: tuple[int, ...]
-    """Of an embedding."""
+    """Shape of an embedding."""
     begun_at: datetime
     """Time of the first measurement."""
 
@@ -40,13 +40,13 @@ class Measured(Answer):
     """One measurement; every other line is one."""
 
     picture: str | None
-    """What was shown, by its path in its folder; None where a person said what it was."""
+    """Path of the picture in its folder; None where a person told the label."""
     label: str
     """Label of the scene."""
     epoch: str
     """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch."""
+    """Number of the capture in its epoch."""
     taken_at: datetime
     """Time of the capture, to the second."""
     values: Float32List = Field(repr=False)

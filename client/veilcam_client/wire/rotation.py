@@ -65,7 +65,7 @@ class Preparation(Answer):
     last_s: float
     """Time that the last one took [s]; 0 before the first."""
     late: int
-    """How many masks a capture found due before the next one was ready."""
+    """Masks that a capture found due before the next one was ready."""
     reused: int
     """Captures taken under a mask that was due, because the policy allows it."""
 
@@ -74,11 +74,11 @@ class Rotation(Answer):
     """Policy of mask changes, and the present epoch."""
 
     policy: RotationPolicy
-    """When masks change."""
+    """Policy of mask changes."""
     epoch: str | None
     """None while no mask is shown."""
     epoch_age_s: float | None = None
-    """How long it has been shown [s]."""
+    """Time since the mask was shown [s]."""
     captures: int
     """Taken under this epoch so far."""
     preparation: Preparation

@@ -32,7 +32,7 @@ class HeldScene(Answer):
     scene: int
     """Its number, as captures name it that see it."""
     warning: str | None = None
-    """What makes a picture show less than it could: it uses under an eighth of its range."""
+    """Warning that a picture uses less than an eighth of its range."""
 
 
 class PanelFaults(Question):

@@ -69,7 +69,7 @@ class WallClock(Answer):
     zone: str
     """Time zone, such as ``Europe/Berlin``."""
     synchronised: bool
-    """Whether the kernel calls it synchronised."""
+    """True: the kernel calls it synchronised."""
 
 
 class Status(Answer):
@@ -84,7 +84,7 @@ class Status(Answer):
     detail: str | None = None
     """Why the state is not ``ready``."""
     remedy: Remedy | None = None
-    """What helps, where the state is ``degraded`` or ``safe``."""
+    """Remedy, where the state is ``degraded`` or ``safe``."""
     experiment: str | None = None
     """``wrong-classifier`` when labels are meaningless on purpose."""
     uptime_s: float
@@ -92,7 +92,7 @@ class Status(Answer):
     captures: int
     """Captures since the start."""
     release: Release
-    """In which form embeddings leave."""
+    """Form in which embeddings leave."""
     raw_budget: int
     """Embeddings that may leave raw behind one mask, over its whole life."""
     receivers: tuple[PairedReceiver, ...]
@@ -119,7 +119,7 @@ class PastState(Answer):
     detail: str | None
     """Reason, where it was not ``ready``."""
     remedy: Remedy | None = None
-    """What helped, where something failed."""
+    """Remedy, where something failed."""
 
 
 class PastFault(Answer):
@@ -130,26 +130,26 @@ class PastFault(Answer):
     code: str
     """Code of the problem."""
     detail: str
-    """What went wrong."""
+    """Description of the fault."""
     remedy: Remedy = "wait"
-    """What helps."""
+    """Remedy."""
 
 
 class Diagnostics(Answer):
     """Versions, settings, and what happened lately. No secret is in it."""
 
     versions: Mapping[str, str]
-    """Of the interpreter, the system, and the packages that matter."""
+    """Versions of the interpreter, the system, and the main packages."""
     settings: Mapping[str, JsonValue]
-    """What the daemon was told; ``"given"`` stands for a path, an address or a label."""
+    """Settings of the daemon; ``"given"`` stands for a path, an address or a label."""
     states: tuple[PastState, ...]
     """The last ones, the latest last."""
     faults: tuple[PastFault, ...]
     """The last ones, the latest last."""
     events: Mapping[str, int]
-    """How many of each kind there were since the start."""
+    """Number of events of each kind since the start."""
     fault_counts: Mapping[str, int]
-    """How many of each code there were since the start."""
+    """Number of faults of each code since the start."""
     audit_lost: int
     """Lines of the audit log that could not be written."""
 
@@ -164,7 +164,7 @@ class DoctorFinding(Answer):
     found: str
     """Paths of the daemon stand there as their settings, ``$VEILCAM_...``."""
     remedy: str | None
-    """What to do, where it is not well."""
+    """Remedy, where it is not well."""
 
 
 class DoctorFindings(Answer):

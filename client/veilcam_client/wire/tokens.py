@@ -39,9 +39,9 @@ class TokenRequest(Question):
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
     """For whom or what it is; it stands in the audit log."""
     scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
-    """What it allows."""
+    """Scopes of the token."""
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
-    """How long it is valid [s]; None: until it is revoked."""
+    """Time that it is valid [s]; None: until it is revoked."""
 
 
 class Token(Answer):
@@ -52,7 +52,7 @@ class Token(Answer):
     label: str
     """For whom or what it is."""
     scopes: tuple[str, ...]
-    """What it allows."""
+    """Scopes of the token."""
     created_at: datetime
     """Time of its creation."""
     expires_at: datetime | None
@@ -83,13 +83,13 @@ class Session(Answer):
     """Caller and its scopes."""
 
     tokens: bool
-    """Whether this daemon wants tokens; without, there is nothing to log in to."""
+    """True: this daemon wants tokens; else there is nothing to log in to."""
     label: str
-    """Of the token."""
+    """Label of the token."""
     scopes: tuple[str, ...]
-    """What the caller may do."""
+    """Scopes of the caller."""
     expires_at: datetime | None
-    """When the session ends, or else the token; None: never."""
+    """End of the session, or else of the token; None: never."""
 
 
 class NewSession(Session):

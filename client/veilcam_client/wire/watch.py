@@ -61,7 +61,7 @@ class OnRequest(Question):
     mode: Literal["on_request"] = "on_request"
     """Kind of the policy."""
     quiet: QuietHours | None = None
-    """When the panel is opaque, and nobody takes a capture."""
+    """Hours when the panel is opaque, and nobody takes a capture."""
 
 
 class Watching(Question):
@@ -70,9 +70,9 @@ class Watching(Question):
     mode: Literal["watching"] = "watching"
     """Kind of the policy."""
     rate_hz: float = Field(ge=SLOWEST, le=FASTEST)
-    """How often [1/s], where nothing else keeps the camera busy."""
+    """Rate of looks [1/s], where nothing else keeps the camera busy."""
     quiet: QuietHours | None = None
-    """As of :class:`OnRequest`."""
+    """Hours, as of :class:`OnRequest`."""
 
 
 WatchPolicy = Annotated[WatchOff | OnRequest | Watching, Field(discriminator="mode")]
@@ -118,11 +118,11 @@ class Belief(Answer):
     """Probability of that, in [0, 1]; None without a scope for scores, and in tenths with
     ``read:scores:rounded``."""
     since: datetime
-    """When it began to look so."""
+    """Start of that belief."""
     duration_s: float
     """Time since then [s]."""
     looks: int
-    """How many captures of its own tell that."""
+    """Number of its own captures that tell that."""
 
 
 class Sighting(Answer):
@@ -148,9 +148,9 @@ class Watch(Answer):
     """Policy of the watch, and the belief."""
 
     policy: WatchPolicy
-    """When the camera looks."""
+    """Policy of the watch."""
     activity: Activity
-    """What it does now."""
+    """Present activity."""
     detail: str | None = None
     """Why it does not look."""
     looks: int

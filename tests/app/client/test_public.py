@@ -40,7 +40,7 @@ def public_api() -> str:
     lines = []
     for module in (veilcam_client, errors, events, models):
         lines.append(f"[{module.__name__}]")
-        defined = [name for name, each in vars(module).items() if inspect.isclass(each)]
+        defined = [name for name in vars(module) if name[0].isupper()]
         for name in sorted(getattr(module, "__all__", defined)):
             thing = getattr(module, name)
             lines.append(f"{name}{signature(thing) if inspect.isfunction(thing) else ''}")

@@ -186,7 +186,7 @@ def by_curl(daemon: Daemon, source: str) -> tuple[int, str]:
 
 def by_python(daemon: Daemon, source: str) -> Any:
     names = {
-        **{name: getattr(models, name) for name in models.__all__},
+        **vars(models),
         **{name.lower(): value for name, value in daemon.variables.items()},
         "httpx": httpx,
         "Path": Path,
