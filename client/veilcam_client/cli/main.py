@@ -36,7 +36,7 @@ from veilcam_client.cli.terminal import (
     errors,
     fail,
     tell,
-    version_option,
+    version_of,
 )
 from veilcam_client.cli.watch import watch
 from veilcam_client.numbers import picture
@@ -58,7 +58,15 @@ app: typer.Typer = typer.Typer(
 
 
 @app.callback()
-def veilcam(*, _: version_option("veilcam") = False) -> None:  # type: ignore[valid-type]
+def veilcam(
+    *,
+    _: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=version_of("veilcam"), is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
     """Ask a Veilcam camera what it sees."""
 
 

@@ -185,16 +185,15 @@ def camera_of(
     return variables
 
 
-def version_option(command: str) -> Any:
-    """Return the option that prints the version of a command."""
+def version_of(command: str) -> Callable[[bool], None]:
+    """Return the callback of ``--version``, which prints the version of a command."""
 
     def show(wanted: bool) -> None:
         if wanted:
             typer.echo(f"{command} {installed_version()}")
             raise typer.Exit
 
-    option = typer.Option("--version", callback=show, is_eager=True, help="Print the version.")
-    return Annotated[bool, option]
+    return show
 
 
 @contextmanager
