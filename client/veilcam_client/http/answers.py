@@ -173,7 +173,7 @@ def read(kind: type[AnswerT], received: Received) -> AnswerT:
             if not isinstance(capture, kind):
                 raise ValueError("only a capture comes as an array")
             answer = capture
-        vars(answer)["request_id"] = received.request_id
+        vars(answer)["_request_id"] = received.request_id
         return answer
     except ValueError as error:
         raise unreadable(received, f"an answer that is no {kind.__name__}") from error

@@ -63,10 +63,11 @@ class Described(BaseModel):
 class Result(Described):
     """Base of what a method returns."""
 
-    @cached_property
+    @property
     def request_id(self) -> str | None:
         """Name of the request in the daemon's log; None for what no request returned."""
-        return None
+        # No field: it is not compared, signed or written, and copies keep it.
+        return vars(self).get("_request_id")
 
 
 class Answer(Result):

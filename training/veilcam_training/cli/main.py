@@ -55,11 +55,7 @@ from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.transforms.scene import TRANSFORMS
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 console = Console()
 
 
