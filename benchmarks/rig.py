@@ -40,8 +40,8 @@ def pair(url: str) -> ReceiverKey:
     """Have a daemon seal to a receiver that is made for it, from the mask that is shown next."""
     key = ReceiverKey.generate()
     with Camera(url) as camera:
-        camera.add_receiver("measurement", key.public)
-        camera.rotate()
+        camera.receivers.add("measurement", key.public)
+        camera.rotation.advance()
     return key
 
 

@@ -5,13 +5,14 @@ python examples/rotate_masks.py [URL]
 
 import sys
 
-from veilcam_client import Camera, EveryCaptures
+from veilcam_client import Camera
+from veilcam_client.models import EveryCaptures
 
 with Camera(*sys.argv[1:]) as camera:
-    before = camera.rotation().policy
-    camera.set_rotation(EveryCaptures(captures=1))
+    before = camera.rotation.get().policy
+    camera.rotation.set(EveryCaptures(captures=1))
     for _ in range(3):
         seen = camera.classify()
         print(f"epoch {seen.epoch}: {seen.label}")
-    camera.set_rotation(before)
-    print(f"back to {camera.rotation().policy.mode}")
+    camera.rotation.set(before)
+    print(f"back to {camera.rotation.get().policy.mode}")

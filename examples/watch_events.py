@@ -6,7 +6,8 @@ python examples/watch_events.py [URL]
 import asyncio
 import sys
 
-from veilcam_client import AsyncCamera, Classified
+from veilcam_client import AsyncCamera
+from veilcam_client.events import Classified
 
 
 async def main() -> None:

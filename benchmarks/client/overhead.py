@@ -33,9 +33,9 @@ import numpy.typing as npt
 import typer
 from benchmarks.figures import FiguresOption, record
 
-from veilcam_client import Camera, Capture, Classification, Embedding
+from veilcam_client import Camera
 from veilcam_client.http.answers import Received, read
-from veilcam_client.http.calls import CAPTURE
+from veilcam_client.models import Capture, Classification, Embedding
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
 SHAPE = (24, 32)
@@ -169,7 +169,7 @@ def arrays(url: str, count: int) -> tuple[float, float]:
     found = answers()
 
     def reading(name: str) -> Callable[[], object]:
-        return lambda: [np.asarray(read(CAPTURE.answer, found[name])) for _ in range(RUN)]
+        return lambda: [np.asarray(read(Capture, found[name])) for _ in range(RUN)]
 
     _, (npy, as_json) = in_turn(-(-count // RUN), reading("npy"), reading("json"))
     print(f"read: .npy {1e6 * npy / RUN:.0f} us, JSON {1e6 * as_json / RUN:.0f} us")

@@ -45,7 +45,7 @@ def accuracy(url: str, digits: Digits, count: int, seed: int) -> float:
     right = 0
     with Camera(url) as camera:
         for index in chosen:
-            camera.hold_scene(digits.images[index])
+            camera.simulation.hold_scene(digits.images[index])
             right += camera.classify().label == str(digits.labels[index])
     return right / count
 

@@ -35,9 +35,10 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import pair, prompt_daemon, work_folder
 
-from veilcam_client import AsyncCamera, Camera, RotationOff
+from veilcam_client import AsyncCamera, Camera
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import RotationOff
 from veilcam_client.wire.captures import Classification, ClassificationRequest, Timing
 
 WARM_UP = 5
@@ -152,7 +153,7 @@ def main(
     values: dict[str, float] = {}
     with work_folder() as folder, prompt_daemon(folder, *options) as url:
         with Camera(url) as camera:
-            camera.set_rotation(RotationOff())
+            camera.rotation.set(RotationOff())
         key = pair(url)
         for name, measure in {"": plain_clients, "sdk_": sdk_clients}.items():
             begun = time.perf_counter()

@@ -19,13 +19,14 @@ from dataclasses import dataclass, field
 from typing import Annotated
 from urllib.parse import urlsplit
 
+import httpx
 import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import prompt_daemon, work_folder
+from httpx_sse import EventSource
 
 from veilcam_client import AsyncCamera
-from veilcam_client.http.sse import Decoder
 from veilcam_client.wire.events import EVENT, Event, Gap, RotationChanged
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff
 
@@ -100,10 +101,11 @@ class SlowListener:
 
     def read(self) -> Heard:
         """Read everything, up to the last event."""
-        heard, decoder = Heard(), Decoder()
+        heard, headers = Heard(), {"Content-Type": "text/event-stream; charset=utf-8"}
         with self._socket:
-            for chunk in self._chunks():
-                for message in decoder.feed(chunk):
+            stream = httpx.Response(200, headers=headers, content=self._chunks())
+            for message in EventSource(stream).iter_sse():
+                if message.data:
                     event = EVENT.validate_json(message.data)
                     heard.hear(event)
                     if is_last(event):
@@ -140,12 +142,12 @@ async def measure(
         listening = [group.create_task(listen(url, one)) for one in heard]
         # Each listener counts from the first event that it hears.
         while any(one.last is None for one in heard):
-            await camera.set_rotation(RotationOff())
+            await camera.rotation.set(RotationOff())
             await asyncio.sleep(0.1)
         begun, first = time.monotonic(), heard[0].events
         await work(camera, rate, seconds)
         took = time.monotonic() - begun
-        await camera.set_rotation(LAST)
+        await camera.rotation.set(LAST)
         await asyncio.wait(listening, timeout=PATIENCE)
         for task in listening:
             task.cancel()

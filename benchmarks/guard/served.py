@@ -15,8 +15,9 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.guard.world import FAULTS, Array, scenes
-from veilcam_client import Camera, Faults, LightFaults, PanelFaults
+from veilcam_client import Camera
 from veilcam_client.errors import ApiError, VeilcamError
+from veilcam_client.models import Faults, LightFaults, PanelFaults
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera as GeometricCamera
 from veilcam_server import daemon
@@ -48,11 +49,11 @@ def _daemon(folder: Path, bundle: Path, *options: str) -> Iterator[str]:
 
 def _ready(camera: Camera) -> None:
     """Mend the camera, and wait for a sound capture."""
-    camera.set_faults(Faults())
+    camera.simulation.set_faults(Faults())
     for _ in range(100):
         with suppress(VeilcamError):
             if camera.status().state != "ready":
-                camera.rotate()
+                camera.rotation.advance()
             camera.classify()
             return
         time.sleep(0.1)
@@ -73,13 +74,13 @@ def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, until: float
             if time.monotonic() > until:
                 break
             came["tried"] += 1
-            camera.hold_scene(np.ones((28, 28), np.float32))
+            camera.simulation.hold_scene(np.ones((28, 28), np.float32))
             _ready(camera)
-            camera.hold_scene(kinds[KINDS[turn % len(KINDS)]][turn % 10].reshape(28, 28))
+            camera.simulation.hold_scene(kinds[KINDS[turn % len(KINDS)]][turn % 10].reshape(28, 28))
             with suppress(VeilcamError):
                 asking.classify()
             time.sleep(random.uniform(0.2, 0.6))  # the next mask is shown by now
-            camera.set_faults(Faults(panel=PanelFaults(**{fault: True})))
+            camera.simulation.set_faults(Faults(panel=PanelFaults(**{fault: True})))
             for number in ("first", "second"):
                 # A panel that fell asleep wakes with the reset: its second capture is sound.
                 if fault == "asleep" and number == "second":
@@ -280,7 +281,7 @@ def latencies(folder: Path, count: int) -> tuple[float, Array, Counter[str]]:
         for turn in range(count):
             which = int(random.integers(2))
             scene = kinds["digit" if which else "wall"][turn % 10].reshape(28, 28)
-            camera.hold_scene(scene)
+            camera.simulation.hold_scene(scene)
             time.sleep(random.uniform(0.2, 0.4))
             switch = Timer(random.uniform(0, 0.4), _switch, (camera, random.random() < 0.5))
             if which and random.random() < 0.25:
@@ -300,4 +301,4 @@ def latencies(folder: Path, count: int) -> tuple[float, Array, Counter[str]]:
 
 
 def _switch(camera: Camera, low: bool) -> None:
-    camera.set_faults(Faults(light=LightFaults(lamp=0.1 if low else 1.0)))
+    camera.simulation.set_faults(Faults(light=LightFaults(lamp=0.1 if low else 1.0)))

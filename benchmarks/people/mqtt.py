@@ -34,7 +34,9 @@ from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import work_folder
 from tests.app.mqtt.rig import NODE, House, Mosquitto, free_port, until
 
-from veilcam_client import Camera, ConnectError, Seen
+from veilcam_client import Camera
+from veilcam_client.errors import ConnectError
+from veilcam_client.events import Seen
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 

@@ -34,7 +34,7 @@ def _set(file: Path, zone: str) -> None:
 def _seen_after(camera: Camera, activity: str) -> float:
     """Return how long a daemon takes to do something else [s]."""
     begun = time.monotonic()
-    while camera.watch().activity != activity:
+    while camera.watch.get().activity != activity:
         if time.monotonic() - begun > LONGEST:
             raise SystemExit(f"the daemon is not {activity} {LONGEST:g} s after the change")
         time.sleep(0.02)

@@ -56,7 +56,7 @@ def answers(bundle: Path, pictures: Sequence[Path], folder: Path) -> list[str]:
     with running(bundle, pictures[0], folder, "--scene-api") as url, Camera(url) as camera:
         labels = []
         for path in pictures:
-            camera.hold_scene(path.read_bytes())
+            camera.simulation.hold_scene(path.read_bytes())
             labels.append(camera.classify().label)
     return labels
 

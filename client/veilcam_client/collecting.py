@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from veilcam_client.arguments import of_type, whole
-from veilcam_client.camera import KeySource, opener_of, receiver_key
-from veilcam_client.errors import ArgumentError, RecordingError
+from veilcam_client.errors import ArgumentError, FileError
+from veilcam_client.keys.opening import KeySource, opener_of, receiver_key
 from veilcam_client.wire.base import Answer
 from veilcam_client.wire.captures import Capture, SealedEmbedding
 from veilcam_client.wire.measurements import Measured, MeasurementsHeader
@@ -69,18 +69,18 @@ def unaided(shot: Shot) -> AbstractContextManager[None]:  # noqa: ARG001 - someb
     return nullcontext()
 
 
-def held_before(camera: SceneHolder) -> Show:
-    """Return what shows pictures to a simulated camera with ``--scene-api``."""
+def held_before(simulation: SceneHolder) -> Show:
+    """Return what shows pictures to a simulated camera, ``held_before(camera.simulation)``."""
 
     @contextmanager
     def show(shot: Shot) -> Iterator[int | None]:
         if shot.picture is None:
             raise ArgumentError("a shot without a picture cannot be held up: use unaided")
-        held = camera.hold_scene(_content(shot.picture))
+        held = simulation.hold_scene(_content(shot.picture))
         try:
             yield held.scene
         finally:
-            camera.hold_scene(None)
+            simulation.hold_scene(None)
 
     return show
 
@@ -95,7 +95,7 @@ def labelled_pictures(folder: Path, *, per_class: int | None = None) -> tuple[Sh
         per_class: greatest number of pictures of each label.
 
     Raises:
-        RecordingError: there are none.
+        FileError: there are none.
     """
     of_type("folder", folder, Path, "a pathlib.Path")
     if per_class is not None:
@@ -116,7 +116,7 @@ def labelled_pictures(folder: Path, *, per_class: int | None = None) -> tuple[Sh
         shots += [queue.popleft() for queue in queues]
         rounds += 1
     if not shots:
-        raise RecordingError(f"{folder} holds no pictures: put them into {folder}/LABEL/*.png")
+        raise FileError(f"{folder} holds no pictures: put them into {folder}/LABEL/*.png")
     return tuple(shots)
 
 
@@ -150,9 +150,9 @@ def collect(
         How many measurements were added.
 
     Raises:
-        RecordingError: the file cannot be written or is of another camera or bundle, the camera
+        FileError: the file cannot be written or is of another camera or bundle, the camera
             lets out nothing that a classifier reads, or a label is none of its bundle's.
-        KeyFileError: the key's file cannot be used.
+        FileError: the key's file cannot be used.
         SealedError: an embedding cannot be opened.
         VeilcamError: as :meth:`Camera.capture`; what was written before stays.
     """
@@ -164,7 +164,7 @@ def collect(
         done = _resumed(stream, path, taker.header)
         for shot in shots:
             if shot.label not in taker.header.labels:
-                raise RecordingError(
+                raise FileError(
                     f"{shot.label!r} is no label of the camera's bundle: use one of "
                     f"{', '.join(taker.header.labels)}"
                 )
@@ -200,15 +200,13 @@ class _Taker:
             self._check_bundle(self._camera.status().bundle.digest)
         self._epoch, embedding = taken.epoch, taken.embedding
         if embedding.form != "raw" or embedding.shape != self.header.shape:
-            raise RecordingError(
+            raise FileError(
                 f"an embedding came {embedding.form}, {embedding.shape}, where one as it was read, "
                 f"{self.header.shape}, was expected: the camera was changed, collect anew"
             )
         seen = None if taken.notes is None else taken.notes.scene
         if scene is not None and seen is not None and seen != scene:
-            raise RecordingError(
-                "another caller held up another scene meanwhile: be alone, and go on"
-            )
+            raise FileError("another caller held up another scene meanwhile: be alone, and go on")
         return Measured(
             picture=shot.name,
             label=shot.label,
@@ -224,7 +222,7 @@ class _Taker:
         from veilcam_client.keys.envelopes import open_key  # noqa: PLC0415 - late, as in camera
 
         if self._key is None or self._opener is None:
-            raise RecordingError(f"embeddings leave sealed: {_RECEIVER}")
+            raise FileError(f"embeddings leave sealed: {_RECEIVER}")
         opened = self._opener.open(taken)
         self._check_bundle(sealed.envelope.bundle)
         if self.header.mode == "pairs":
@@ -237,7 +235,7 @@ class _Taker:
 
     def _check_bundle(self, digest: str) -> None:
         if digest != self.header.bundle:
-            raise RecordingError("the camera has another bundle now: collect into another file")
+            raise FileError("the camera has another bundle now: collect into another file")
 
 
 def _header(status: Status, key: ReceiverKey | None) -> MeasurementsHeader:
@@ -256,7 +254,7 @@ def _header(status: Status, key: ReceiverKey | None) -> MeasurementsHeader:
         ),
     ):
         if wrong:
-            raise RecordingError(why)
+            raise FileError(why)
     mode: Literal["pairs", "fresh"] = "fresh" if fresh else "pairs"
     return MeasurementsHeader(
         device=status.device.key,
@@ -272,14 +270,14 @@ def _content(picture: Path) -> bytes:
     try:
         return picture.read_bytes()
     except OSError as error:
-        raise RecordingError(f"{picture} cannot be read ({error.strerror})") from None
+        raise FileError(f"{picture} cannot be read ({error.strerror})") from None
 
 
 def _inside(folder: Path) -> list[Path]:
     try:
         return list(folder.iterdir())
     except OSError as error:
-        raise RecordingError(f"{folder} cannot be read ({error.strerror})") from None
+        raise FileError(f"{folder} cannot be read ({error.strerror})") from None
 
 
 @contextmanager
@@ -288,12 +286,12 @@ def _locked(path: Path) -> Iterator[BinaryIO]:
     try:
         stream = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
     except OSError as error:
-        raise RecordingError(f"{path} cannot be written ({error.strerror})") from None
+        raise FileError(f"{path} cannot be written ({error.strerror})") from None
     with stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise RecordingError(f"{path} is being written by another collection") from None
+            raise FileError(f"{path} is being written by another collection") from None
         yield stream
 
 
@@ -309,9 +307,9 @@ def _resumed(stream: BinaryIO, path: Path, header: MeasurementsHeader) -> set[st
     try:
         found = MeasurementsHeader.model_validate_json(whole[0])
     except ValidationError:
-        raise RecordingError(f"{path} is no file of measurements: give another name") from None
+        raise FileError(f"{path} is no file of measurements: give another name") from None
     if found.model_copy(update={"begun_at": header.begun_at}) != header:
-        raise RecordingError(
+        raise FileError(
             f"{path} was measured by another camera, or with another bundle: give another name"
         )
     stream.seek(-len(lines[-1]), os.SEEK_END)
@@ -323,7 +321,7 @@ def _measured(path: Path, number: int, line: bytes) -> Measured:
     try:
         return Measured.model_validate_json(line)
     except ValidationError:
-        raise RecordingError(f"{path}, line {number}: this is no measurement: remove it") from None
+        raise FileError(f"{path}, line {number}: this is no measurement: remove it") from None
 
 
 def _write(stream: BinaryIO, path: Path, line: Answer) -> None:
@@ -333,4 +331,4 @@ def _write(stream: BinaryIO, path: Path, line: Answer) -> None:
         stream.flush()
         os.fsync(stream.fileno())
     except OSError as error:
-        raise RecordingError(f"{path} cannot be written ({error.strerror})") from None
+        raise FileError(f"{path} cannot be written ({error.strerror})") from None

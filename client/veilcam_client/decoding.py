@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.arguments import of_type
-from veilcam_client.camera import KeySource, receiver_key
 from veilcam_client.errors import VeilcamError
+from veilcam_client.keys.opening import KeySource, receiver_key
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
 
 
@@ -29,7 +29,7 @@ class SceneDecoder:
     Raises:
         VeilcamError: the optics are not installed (code ``optics_missing``), or the frame cannot be
             used (code ``decoding_failed``).
-        KeyFileError: the key's file cannot be used.
+        FileError: the key's file cannot be used.
     """
 
     def __init__(

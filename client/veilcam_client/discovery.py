@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from veilcam_client import arguments
-from veilcam_client.errors import ArgumentError, DiscoveryError
+from veilcam_client.errors import ArgumentError, VeilcamError
 
 if TYPE_CHECKING:
     from zeroconf import ServiceInfo, ServiceStateChange, Zeroconf
 
+FAILED = "discovery_failed"
 TYPE = "_veilcam._tcp.local."
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 
@@ -39,7 +40,8 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
         interfaces: addresses of this machine to listen on; all of them if None.
 
     Raises:
-        DiscoveryError: the extra ``discover`` is not installed, or there is no network.
+        VeilcamError: the extra ``discover`` is not installed, or there is no network (code
+            ``discovery_failed``).
         ArgumentError: a time that is none.
     """
     if not 0 < arguments.seconds("seconds", seconds) <= 600:
@@ -48,9 +50,10 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
         # An extra, and the SDK is imported without it.
         import zeroconf  # noqa: PLC0415
     except ModuleNotFoundError:
-        raise DiscoveryError(
+        raise VeilcamError(
             "finding cameras needs the extra 'discover': run pip install -e '.[discover]' in the "
-            "checkout"
+            "checkout",
+            code=FAILED,
         ) from None
     listening = list(interfaces or ()) or zeroconf.InterfaceChoice.All
     announced: dict[str, ServiceInfo] = {}
@@ -72,7 +75,8 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
             time.sleep(seconds)
             browser.cancel()
     except OSError as error:
-        raise DiscoveryError(f"the network cannot be listened to: {error.strerror}") from error
+        why = f"the network cannot be listened to: {error.strerror}"
+        raise VeilcamError(why, code=FAILED) from error
     found = (_camera(info) for info in announced.values())
     return tuple(sorted(filter(None, found), key=lambda each: (each.name, each.url)))
 

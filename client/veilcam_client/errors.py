@@ -5,19 +5,13 @@
     ``ConnectError``: nobody answers at that address.
     ``RequestTimeoutError``: connected or not, no answer in time.
     ``ProtocolError``: an answer that this SDK cannot read.
-    ``RecordingError``: a recording that cannot be written or read.
-    ``KeyFileError``: a key of a receiver that cannot be written or read.
+    ``FileError``: a recording, a key or a log that cannot be written or read.
     ``SealedError``: a sealed embedding that cannot be opened.
-    ``LogFileError``: a log of captures that cannot be written or read, or gone on with.
-    ``DiscoveryError``: cameras cannot be looked for.
-    ``ApiError``: the daemon answered with a problem.
-        ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
-        ``ForbiddenError``: the token lacks a scope.
+    ``ApiError``: the daemon answered with a problem; these have a class of their own:
+        ``AccessError``: HTTP 401, or 403 for a token that lacks a scope.
         ``LeasedError``: HTTP 423, somebody else holds the camera.
-        ``InvalidRequestError``: any other HTTP 400 to 428, asking the same again will not help.
         ``BusyError``: HTTP 429, too many captures are waiting, or too many requests are made.
         ``DeviceError``: HTTP 503; panel, sensor or fence. Nothing mixed was handed out.
-        ``ServerError``: any other 5xx, a defect of the daemon.
 """
 
 import copyreg
@@ -95,18 +89,11 @@ class ProtocolError(VeilcamError):
         super().__init__(message, code="protocol_error", status=status, request_id=request_id)
 
 
-class RecordingError(VeilcamError):
-    """A recording, or a file of measurements, that cannot be written or read."""
+class FileError(VeilcamError):
+    """A recording, a file of measurements, a key or a log that cannot be written or read."""
 
     def __init__(self, why: str) -> None:
-        super().__init__(why, code="recording_failed")
-
-
-class KeyFileError(VeilcamError):
-    """A receiver's private key that cannot be written or read."""
-
-    def __init__(self, why: str) -> None:
-        super().__init__(why, code="key_file_failed")
+        super().__init__(why, code="file_failed")
 
 
 class SealedError(VeilcamError):
@@ -114,20 +101,6 @@ class SealedError(VeilcamError):
 
     def __init__(self, why: str) -> None:
         super().__init__(why, code="sealed")
-
-
-class LogFileError(VeilcamError):
-    """A log of captures that cannot be written or read, or gone on with."""
-
-    def __init__(self, why: str) -> None:
-        super().__init__(why, code="log_file_failed")
-
-
-class DiscoveryError(VeilcamError):
-    """Cameras cannot be looked for: an extra is not installed, or there is no network."""
-
-    def __init__(self, why: str) -> None:
-        super().__init__(why, code="discovery_failed")
 
 
 class ApiError(VeilcamError):
@@ -155,20 +128,12 @@ class ApiError(VeilcamError):
         self.errors = errors
 
 
-class UnauthorizedError(ApiError):
-    """The daemon wants a valid token."""
-
-
-class ForbiddenError(ApiError):
-    """The token does not allow this."""
+class AccessError(ApiError):
+    """The daemon wants a valid token, or another one."""
 
 
 class LeasedError(ApiError):
     """Somebody else holds the camera."""
-
-
-class InvalidRequestError(ApiError):
-    """The request is at fault."""
 
 
 class BusyError(ApiError):
@@ -177,7 +142,3 @@ class BusyError(ApiError):
 
 class DeviceError(ApiError):
     """The panel or the sensor failed, or is not ready."""
-
-
-class ServerError(ApiError):
-    """A defect of the daemon."""

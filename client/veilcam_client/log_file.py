@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from veilcam_client.arguments import of_type
-from veilcam_client.errors import LogFileError
+from veilcam_client.errors import FileError
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecord, LogRecords
 
@@ -21,29 +21,29 @@ _ANSWER: TypeAdapter[Capture | Classification] = TypeAdapter(
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-class Logging(Protocol):
-    """A camera, as far as its log is fetched."""
+class LogSource(Protocol):
+    """Log of a camera, as far as it is fetched: ``camera.log``."""
 
-    def log(self, *, limit: int = RECORDS_AT_ONCE, after: int | None = None) -> LogRecords:
+    def list(self, *, limit: int = RECORDS_AT_ONCE, after: int | None = None) -> LogRecords:
         """Return records, the oldest first."""
 
-    def log_head(self) -> LogHead:
+    def head(self) -> LogHead:
         """End of the log."""
 
 
-def fetch_log(camera: Logging, path: Path) -> tuple[int, LogHead]:
+def fetch_log(log: LogSource, path: Path) -> tuple[int, LogHead]:
     """Fetch the log of a camera, or what is new since a file was written.
 
     Args:
-        camera: needs the scope ``read:log``.
+        log: log of a camera, ``camera.log``; it needs the scope ``read:log``.
         path: a new file, or one that this wrote, which is gone on with.
 
     Returns:
         How many records were added, and the head of the log after that.
 
     Raises:
-        LogFileError: the file cannot be read or written, or the log does not go on where it ends.
-        VeilcamError: as :meth:`Camera.log`; what was written before is a whole file.
+        FileError: the file cannot be read or written, or the log does not go on where it ends.
+        VeilcamError: as ``camera.log.list()``; what was written before is a whole file.
     """
     of_type("path", path, Path, "a pathlib.Path")
     # Late: no other command of the SDK needs the cryptography.
@@ -54,14 +54,14 @@ def fetch_log(camera: Logging, path: Path) -> tuple[int, LogHead]:
     after, added = None if last is None else last.position, 0
     more = True
     while more:
-        page = camera.log(after=after)
+        page = log.list(after=after)
         if page.records:
             if last is not None and not added and page.records[0].previous != follows:
                 raise _departed(path)
             _append(path, b"".join(line_of(record) + b"\n" for record in page.records))
             added, after = added + len(page.records), page.records[-1].position
         more = page.next is not None
-    head = camera.log_head()
+    head = log.head()
     if last is not None and (
         head.position < last.position or (head.position == last.position and head.record != follows)
     ):
@@ -89,7 +89,7 @@ def verify_log(
         What was found.
 
     Raises:
-        LogFileError: a file cannot be read, or holds something else.
+        FileError: a file cannot be read, or holds something else.
     """
     from veilcam_client.keys.log_check import examine  # noqa: PLC0415 - late, as above
 
@@ -105,9 +105,9 @@ def verify_log(
         )
     except ValidationError as error:
         which = head if error.title == LogHead.__name__ else answer
-        raise LogFileError(f"{which} holds something else: give the answer as JSON") from None
+        raise FileError(f"{which} holds something else: give the answer as JSON") from None
     except ValueError as error:
-        raise LogFileError(f"{answer}: {error}") from None
+        raise FileError(f"{answer}: {error}") from None
 
 
 def _last_of(path: Path) -> LogRecord | None:
@@ -121,7 +121,7 @@ def _last_of(path: Path) -> LogRecord | None:
     try:
         return read_line(last if not rest else b"")
     except ValueError:
-        raise LogFileError(
+        raise FileError(
             f"{path} does not end with a record: verify it, or give another file"
         ) from None
 
@@ -130,7 +130,7 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise LogFileError(f"{path} cannot be read ({error.strerror}): check it") from None
+        raise FileError(f"{path} cannot be read ({error.strerror}): check it") from None
 
 
 def _append(path: Path, lines: bytes) -> None:
@@ -138,11 +138,11 @@ def _append(path: Path, lines: bytes) -> None:
         with path.open("ab") as stream:
             stream.write(lines)
     except OSError as error:
-        raise LogFileError(f"{path} cannot be written ({error.strerror}): check it") from None
+        raise FileError(f"{path} cannot be written ({error.strerror}): check it") from None
 
 
-def _departed(path: Path) -> LogFileError:
-    return LogFileError(
+def _departed(path: Path) -> FileError:
+    return FileError(
         f"the camera's log does not go on where {path} ends: records in between were dropped, or "
         "it began anew; keep that file, and give another one"
     )

@@ -15,7 +15,7 @@ from typing import BinaryIO, Literal, Protocol
 from pydantic import ValidationError
 
 from veilcam_client.arguments import of_type, whole
-from veilcam_client.errors import RecordingError
+from veilcam_client.errors import FileError
 from veilcam_client.wire.base import Answer
 from veilcam_client.wire.captures import Capture, Classification, Prediction
 from veilcam_client.wire.status import Status
@@ -85,14 +85,14 @@ def record(
         Bytes that were written.
 
     Raises:
-        RecordingError: the file exists or cannot be written, or the camera itself is a recording.
+        FileError: the file exists or cannot be written, or the camera itself is a recording.
         VeilcamError: as :meth:`Camera.capture`; what was written before is a whole recording.
     """
     of_type("path", path, Path, "a pathlib.Path")
     whole("count", count, 1)
     status = camera.status()
     if status.state == "replay":
-        raise RecordingError("this daemon replays a recording: copy its file")
+        raise FileError("this daemon replays a recording: copy its file")
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as stream:
@@ -107,36 +107,36 @@ def record(
                 advance()
             return stream.tell()
     except FileExistsError:
-        raise RecordingError(f"{path} exists: give another name") from None
+        raise FileError(f"{path} exists: give another name") from None
     except OSError as error:
-        raise RecordingError(f"{path} cannot be written ({error.strerror})") from None
+        raise FileError(f"{path} cannot be written ({error.strerror})") from None
 
 
 def read_recording(path: Path) -> Recording:
     """Read a file that :func:`record` wrote, and check all of it.
 
     Raises:
-        RecordingError: it is missing, damaged, or no such file.
+        FileError: it is missing, damaged, or no such file.
     """
     of_type("path", path, Path, "a pathlib.Path")
     try:
         size = path.stat().st_size
         content = path.read_bytes() if size <= MAX_BYTES else b""
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read ({error.strerror})") from None
+        raise FileError(f"{path} cannot be read ({error.strerror})") from None
     if size > MAX_BYTES:
-        raise RecordingError(f"{path} is larger than {MAX_BYTES >> 20} MiB: replay a part of it")
+        raise FileError(f"{path} is larger than {MAX_BYTES >> 20} MiB: replay a part of it")
     first, *lines = content.split(b"\n")
     try:
         header = Header.model_validate_json(first)
     except ValidationError:
-        raise RecordingError(
+        raise FileError(
             f"{path} is no recording of this version: make one with 'veilcam record'"
         ) from None
     if not lines or lines.pop() != b"":
-        raise RecordingError(f"{path} is cut off: remove its last line")
+        raise FileError(f"{path} is cut off: remove its last line")
     if not lines:
-        raise RecordingError(f"{path} holds no captures: make it again with 'veilcam record'")
+        raise FileError(f"{path} holds no captures: make it again with 'veilcam record'")
     captures = tuple(_recorded(header, path, number, line) for number, line in enumerate(lines, 2))
     return Recording(header, captures)
 
@@ -146,7 +146,7 @@ def _take(camera: Recordable, *, labels: bool) -> Recorded:
         return Recorded(capture=camera.capture())
     answer = camera.classify(include_embedding=True)
     if answer.embedding is None:
-        raise RecordingError("the daemon left the embedding out: update it")
+        raise FileError("the daemon left the embedding out: update it")
     return Recorded(
         capture=Capture(
             id=answer.id,
@@ -166,7 +166,7 @@ def _recorded(header: Header, path: Path, number: int, line: bytes) -> Recorded:
     try:
         recorded = Recorded.model_validate_json(line)
     except ValidationError:
-        raise RecordingError(f"{path}, line {number}: this is no capture: remove it") from None
+        raise FileError(f"{path}, line {number}: this is no capture: remove it") from None
     capture, bundle = recorded.capture, header.status.bundle
     form, release, verdict = capture.embedding.form, header.status.release, recorded.verdict
     for wrong, fault in (
@@ -182,7 +182,7 @@ def _recorded(header: Header, path: Path, number: int, line: bytes) -> Recorded:
         ),
     ):
         if wrong:
-            raise RecordingError(f"{path}, line {number}: this {fault}")
+            raise FileError(f"{path}, line {number}: this {fault}")
     return recorded
 
 

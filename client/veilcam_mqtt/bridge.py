@@ -119,8 +119,8 @@ class Bridge:
             pressed.clear()
             try:
                 if name == ROTATE:
-                    await self._camera.rotate()
+                    await self._camera.rotation.advance()
                 else:
-                    await self._camera.set_watch(WatchOff())
+                    await self._camera.watch.set(WatchOff())
             except VeilcamError as error:
                 log.warning("button %s: %s", name, error)

@@ -3,137 +3,117 @@
 from __future__ import annotations
 
 import asyncio
+import json as encoder
 import logging
 import signal
 import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from veilcam_client import AsyncCamera, __version__
+from veilcam_client import AsyncCamera
+from veilcam_client.cli.profiles import URL, environment
+from veilcam_client.cli.terminal import (
+    EXIT_CODES_HELP,
+    ProfileOption,
+    TokenFileOption,
+    UrlOption,
+    camera_of,
+    errors,
+    fail,
+    version_of,
+)
 from veilcam_client.http.credentials import read_secret
-from veilcam_mqtt import logs
 from veilcam_mqtt.bridge import Bridge, CameraChangedError
 from veilcam_mqtt.settings import Broker, Names
 from veilcam_mqtt.webhooks import Webhook
 
 SOCKET = "unix:///run/veilcam/api.sock"
 """Where a daemon listens that systemd started."""
-USAGE = 2
+COMMAND = "veilcam-mqtt"
 
 log = logging.getLogger("veilcam.mqtt")
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
-    epilog="Each option may stand in the environment instead. Exit codes: 1 another camera "
-    "answers, 2 usage.",
+    rich_markup_mode=None,
+    epilog=f"Each option may stand in the environment instead. {EXIT_CODES_HELP}",
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"veilcam-mqtt {__version__}")
-        raise typer.Exit
+def _option(name: str, text: str, *names: str) -> Any:
+    return typer.Option(*names, envvar=f"VEILCAM_MQTT_{name}", help=text)
 
 
 @app.command()
 def run(
     *,
-    url: Annotated[
-        str,
-        typer.Option(envvar="VEILCAM_URL", help="The camera: unix:///PATH or http://HOST:PORT."),
-    ] = SOCKET,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(
-            envvar="VEILCAM_TOKEN_FILE",
-            help="File of a token with read:status, classify, read:scores and mask:rotate.",
-        ),
-    ] = None,
+    url: UrlOption = None,
+    profile: ProfileOption = None,
+    token_file: TokenFileOption = None,
     broker: Annotated[
-        str,
-        typer.Option(envvar="VEILCAM_MQTT_BROKER", help="mqtts://HOST:PORT, or mqtt://HOST:PORT."),
+        str, _option("BROKER", "mqtts://HOST:PORT, or mqtt://HOST:PORT.")
     ] = "mqtt://127.0.0.1",
-    username: Annotated[
-        str | None, typer.Option(envvar="VEILCAM_MQTT_USERNAME", help="Where the broker wants one.")
-    ] = None,
-    password_file: Annotated[
-        Path | None,
-        typer.Option(envvar="VEILCAM_MQTT_PASSWORD_FILE", help="File of the password."),
-    ] = None,
+    username: Annotated[str | None, _option("USERNAME", "Where the broker wants one.")] = None,
+    password_file: Annotated[Path | None, _option("PASSWORD_FILE", "File of the password.")] = None,
     ca_file: Annotated[
         Path | None,
-        typer.Option(
-            envvar="VEILCAM_MQTT_CA_FILE",
-            help="Authority that vouches for the broker, a PEM file; the system's by default.",
-        ),
+        _option("CA_FILE", "Authority of the broker, a PEM file; the system's by default."),
     ] = None,
     certificate: Annotated[
-        Path | None,
-        typer.Option(
-            envvar="VEILCAM_MQTT_CERTIFICATE",
-            help="Certificate to show to the broker, a PEM file.",
-        ),
+        Path | None, _option("CERTIFICATE", "Certificate to show to the broker, a PEM file.")
     ] = None,
-    key: Annotated[
-        Path | None,
-        typer.Option(envvar="VEILCAM_MQTT_KEY", help="Its private key, a PEM file."),
-    ] = None,
+    key: Annotated[Path | None, _option("KEY", "Its private key, a PEM file.")] = None,
     allow_plain: Annotated[
         bool,
-        typer.Option(
+        _option(
+            "ALLOW_PLAIN",
+            "Reach a broker on another machine without TLS: labels and password can be read.",
             "--allow-plain",
-            envvar="VEILCAM_MQTT_ALLOW_PLAIN",
-            help="Reach a broker on another machine without TLS: who listens reads labels and "
-            "password.",
         ),
     ] = False,
     name: Annotated[
         str | None,
-        typer.Option(
-            envvar="VEILCAM_MQTT_NAME",
-            help="Name in the house; veilcam_ and the first digits of the camera's key by default.",
-        ),
+        _option("NAME", "Name in the house; veilcam_ and the camera's first digits by default."),
     ] = None,
-    base: Annotated[
-        str, typer.Option(envvar="VEILCAM_MQTT_BASE", help="First level of its topics.")
-    ] = "veilcam",
+    base: Annotated[str, _option("BASE", "First level of its topics.")] = "veilcam",
     discovery: Annotated[
-        str,
-        typer.Option(
-            envvar="VEILCAM_MQTT_DISCOVERY", help="Prefix under which Home Assistant looks."
-        ),
+        str, _option("DISCOVERY", "Prefix under which Home Assistant looks.")
     ] = "homeassistant",
     webhook: Annotated[
         list[str] | None,
-        typer.Option(
-            envvar="VEILCAM_MQTT_WEBHOOK",
-            help="Also post what is seen and what fails there; several times for several.",
-        ),
+        _option("WEBHOOK", "Also post sights and faults there; several times for several."),
     ] = None,
     webhook_secret_file: Annotated[
         Path | None,
-        typer.Option(
-            envvar="VEILCAM_MQTT_WEBHOOK_SECRET_FILE",
-            help="File of what webhooks are signed with: whsec_ and 24 to 64 bytes as base64.",
+        _option(
+            "WEBHOOK_SECRET_FILE",
+            "File of the secret that signs webhooks: whsec_ and 24 to 64 bytes as base64.",
         ),
     ] = None,
-    log_level: Annotated[
-        str,
-        typer.Option(envvar="VEILCAM_MQTT_LOG_LEVEL", help="debug, info, warning or error."),
-    ] = "info",
+    log_level: Annotated[str, _option("LOG_LEVEL", "debug, info, warning or error.")] = "info",
+    json: Annotated[
+        bool, typer.Option("--json", help="Log JSON lines, also on a terminal.")
+    ] = False,
     _: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=version_of(COMMAND), is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
-    """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it."""
-    try:
+    """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it.
+
+    Its token needs read:status, classify, read:scores and mask:rotate. Where no camera is given, it
+    is the one that systemd runs on this machine.
+    """
+    with errors(COMMAND):
         if log_level not in ("debug", "info", "warning", "error"):
             raise ValueError("--log-level is one of debug, info, warning and error")
-        logs.configure(log_level)
+        configure_logs(log_level, json=json or not sys.stderr.isatty())
         if webhook and webhook_secret_file is None:
             raise ValueError("webhooks are signed: give --webhook-secret-file")
         secret = "" if webhook_secret_file is None else read_secret(webhook_secret_file)
@@ -142,19 +122,15 @@ def run(
         reached.tls()
         Names(name or "veilcam", base, discovery)
         hooks = [Webhook(address, secret) for address in webhook or ()]
-        token = None if token_file is None else read_secret(token_file)
-        # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
-        camera = AsyncCamera(url, token=token, max_retries=0)
-    except ValueError as error:
-        typer.echo(f"veilcam-mqtt: error: {error}", err=True)
-        sys.exit(USAGE)
+        with environment({URL: SOCKET, **camera_of(url, profile, token_file)}):
+            # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
+            camera = AsyncCamera(max_retries=0)
 
     bridge = _bridged(camera, reached, hooks, name=name, base=base, discovery=discovery)
     try:
         asyncio.run(bridge)
     except CameraChangedError as error:
-        typer.echo(f"veilcam-mqtt: error: {error}", err=True)
-        sys.exit(1)
+        fail(str(error), 1, COMMAND)
     except (KeyboardInterrupt, asyncio.CancelledError):
         pass
 
@@ -182,6 +158,30 @@ def _log_forgotten(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> Non
     """Ignore the error that paho-mqtt leaves, with nobody to wait for it, when a broker goes."""
     error = context.get("exception")
     log.debug("not awaited: %s", context["message"] if error is None else type(error).__name__)
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line; of an error that was raised, its kind, and not its text."""
+        entry = {
+            "event": record.getMessage(),
+            "level": record.levelname.lower(),
+            "timestamp": datetime.fromtimestamp(record.created, UTC).isoformat(),
+        }
+        if record.exc_info and record.exc_info[0] is not None:
+            entry["error"] = record.exc_info[0].__name__
+        return encoder.dumps(entry)
+
+
+def configure_logs(level: str, *, json: bool) -> None:
+    """Log everything of at least ``level`` (``debug``, ``info``, ``warning``, ``error``)."""
+    handler = logging.StreamHandler(sys.stderr)
+    words = logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s")
+    handler.setFormatter(JsonFormatter() if json else words)
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.getLogger("veilcam").setLevel(level.upper())
 
 
 def main() -> None:

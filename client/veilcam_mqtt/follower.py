@@ -8,16 +8,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from veilcam_client import AsyncCamera, BusyError, VeilcamError
+from veilcam_client import AsyncCamera, VeilcamError
+from veilcam_client.errors import BusyError
 from veilcam_client.wire.events import Event
+from veilcam_mqtt.settings import Attempts
 from veilcam_mqtt.view import View, calls_for_a_look, changes_what_is_seen
 
 LOOK_EVERY = 5.0
 """Between two questions what is the case, whatever events tell [s]."""
-PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0)
-"""Before each attempt to reach a camera that went [s]; the last one again and again. A camera that
-answered for as long as the last one begins with the first one anew."""
-
 log = logging.getLogger("veilcam.mqtt")
 
 
@@ -46,23 +44,17 @@ class Follower:
 
     async def run(self) -> None:
         """Follow for ever; a camera that goes is waited for."""
-        failures, said = 0, ""
+        attempts = Attempts("camera")
         while True:
             answered, begun = self._view, self._clock()
             try:
                 await self._follow()
             except* VeilcamError as errors:
                 reason = str(errors.exceptions[0])
-            if self._view is not None and self._view is not answered:
-                said = ""
-                failures = 0 if self._clock() - begun >= PAUSES[-1] else failures
-            if reason != said:
-                log.warning("camera: %s", reason)
-            said = reason
+            reached = self._view is not None and self._view is not answered
             if self._view is not None:
                 self._tell(replace(self._view, online=False))
-            await asyncio.sleep(PAUSES[min(failures, len(PAUSES) - 1)])
-            failures += 1
+            await attempts.failed(reason, lasted=self._clock() - begun if reached else None)
 
     async def _follow(self) -> None:
         """Until something fails."""
@@ -75,7 +67,7 @@ class Follower:
             self._look.clear()
             changes = self._changes
             try:
-                status, watch = await self._camera.status(), await self._camera.watch()
+                status, watch = await self._camera.status(), await self._camera.watch.get()
             except BusyError:
                 log.debug("the camera is too busy to say how it is")
             else:

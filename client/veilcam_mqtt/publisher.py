@@ -12,12 +12,9 @@ from collections.abc import Callable
 import aiomqtt
 
 from veilcam_mqtt.discovery import BRIDGE, BUTTONS, OFFLINE, ONLINE, PRESS
-from veilcam_mqtt.settings import Broker, Names
+from veilcam_mqtt.settings import Attempts, Broker, Names
 from veilcam_mqtt.view import AGE_STEP, View
 
-PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-"""Before each attempt to reach a broker that went [s]; the last one again and again. A connection
-that lasted as long as the last one begins with the first one anew."""
 KEEPALIVE = 15
 """Longest silence on the connection [s]: a broker that hangs is noticed within 1.5 of it."""
 TIMEOUT = 5.0
@@ -71,26 +68,21 @@ class Publisher:
 
     async def run(self) -> None:
         """Keep the broker told for ever; one that goes is waited for."""
-        failures, said = 0, ""
+        attempts = Attempts("broker")
         while True:
-            connected = self._clock()
+            connected: float | None = None
             try:
                 async with self._client() as client:
                     log.info("broker: connected to %s", self._broker.host)
-                    connected, said = self._clock(), ""
+                    connected = self._clock()
                     await self._session(client)
             except* (aiomqtt.MqttError, OSError) as errors:
                 reason = str(errors.exceptions[0])
             finally:
                 self._connected = False
                 self._events.clear()
-            if self._clock() - connected >= PAUSES[-1]:
-                failures = 0
-            if reason != said:
-                log.warning("broker: %s", reason)
-            said = reason
-            await asyncio.sleep(PAUSES[min(failures, len(PAUSES) - 1)])
-            failures += 1
+            lasted = None if connected is None else self._clock() - connected
+            await attempts.failed(reason, lasted=lasted)
 
     def _client(self) -> aiomqtt.Client:
         return aiomqtt.Client(

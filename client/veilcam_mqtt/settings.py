@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
+import logging
 import re
 import ssl
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
+log = logging.getLogger("veilcam.mqtt")
+PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Before each attempt to reach what went [s]; the last one again and again. What was there for as
+long as the last one begins with the first one anew."""
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 _LEVEL = re.compile(r"[A-Za-z0-9_-]+")
 """What Home Assistant takes as an id, and as one level of a topic."""
@@ -120,6 +126,29 @@ class Names:
     def birth(self) -> str:
         """Topic of Home Assistant's birth message."""
         return f"{self.discovery}/status"
+
+
+class Attempts:
+    """Attempts to reach a camera or a broker: a line of the log for each new reason, and pauses."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._failures, self._said = name, 0, ""
+
+    async def failed(self, reason: str, *, lasted: float | None) -> None:
+        """Log why an attempt ended, and wait before the next one.
+
+        Args:
+            reason: text of the error.
+            lasted: time that the connection lasted [s]; None: there was none.
+        """
+        if lasted is not None:
+            self._said = ""
+            self._failures = 0 if lasted >= PAUSES[-1] else self._failures
+        if reason != self._said:
+            log.warning("%s: %s", self._name, reason)
+        self._said = reason
+        await asyncio.sleep(PAUSES[min(self._failures, len(PAUSES) - 1)])
+        self._failures += 1
 
 
 def _is_this_machine(host: str) -> bool:

@@ -32,7 +32,8 @@ against a simulated camera, and answers are checked against the document
 ```python
 import httpx
 from pathlib import Path
-from veilcam_client import Camera, EverySeconds, Faults, PanelFaults, Watching
+from veilcam_client import Camera
+from veilcam_client.models import EverySeconds, Faults, PanelFaults, Watching
 
 camera = Camera(token=token)
 ```

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import re
 import runpy
 import sys
@@ -41,8 +40,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_frame(frame, bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding))
     with FakeCamera({"bundle": FRESH}) as fake:
         with fake.camera() as camera:
-            camera.add_receiver("examples", key.public)
-            camera.rotate()
+            camera.receivers.add("examples", key.public)
+            camera.rotation.advance()
         yield Served(fake, frame, path)
 
 
@@ -123,21 +122,32 @@ def test_every_example_has_a_test() -> None:
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sdk.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PRINTED = (
+    r"\d \(\d+, \d+\)",
+    r"\['\d', '\d', '\d'\] Camera\('http://127.0.0.1:8787'\)",
+    r"\w+ application/json \d",
+    r"seen \d",
+    r"digit \d\nrefused \w+",
+)
+
+
+@pytest.fixture(scope="module")
+def raw() -> Iterator[FakeCamera]:
+    with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
+        yield fake
 
 
 @pytest.mark.slow
 @pytest.mark.numerical
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # the page's programs end without closing
-def test_blocks_run(lead_to: Lead, capsys: pytest.CaptureFixture[str]) -> None:
-    assert len(BLOCKS) == 7
-    with FakeCamera({"release": "raw", "raw_budget": 1000}) as fake:
-        lead_to(fake)
-        names: dict[str, object] = {}
-        for block in BLOCKS:
-            exec(compile(block, str(PAGE), "exec"), names)
-        gc.collect()
-    assert str(names["label"]).isdigit()
-    printed = capsys.readouterr().out
-    assert "events were missed" in printed
-    assert "application/json" in printed
+@pytest.mark.parametrize(("program", "printed"), [*zip(PROGRAMS, PRINTED, strict=True)])
+def test_program_of_the_page_runs(
+    raw: FakeCamera, lead_to: Lead, capsys: pytest.CaptureFixture[str], program: str, printed: str
+) -> None:
+    lead_to(raw)
+    exec(compile(program, str(PAGE), "exec"), {})
+    assert re.fullmatch(printed, capsys.readouterr().out.strip())
+
+
+def test_page_of_the_sdk_is_short() -> None:
+    assert len(PAGE.read_text().split()) <= 1500

@@ -211,18 +211,19 @@ def open_page(
 def _as_it_was(daemon: Daemon) -> Iterator[None]:
     """Whatever a test did to the camera, the next one finds it well, and looking."""
     yield
-    from veilcam_client import EveryCaptures, Faults, InvalidRequestError, Watching
+    from veilcam_client.errors import ApiError
+    from veilcam_client.models import EveryCaptures, Faults, Watching
 
     with daemon.camera() as camera:
         # One that a test left behind when it failed.
-        with suppress(InvalidRequestError):
-            camera.cancel_calibration()
-        camera.set_faults(Faults())
-        camera.hold_scene(None)
-        camera.set_watch(Watching(rate_hz=2.0))
-        camera.set_rotation(EveryCaptures(captures=CAPTURES))
+        with suppress(ApiError):
+            camera.calibration.cancel()
+        camera.simulation.set_faults(Faults())
+        camera.simulation.hold_scene(None)
+        camera.watch.set(Watching(rate_hz=2.0))
+        camera.rotation.set(EveryCaptures(captures=CAPTURES))
         # A camera that failed tests its panel before it is ready.
         ends = time.monotonic() + PATIENCE / 1000
-        while camera.status().state != "ready" or camera.watch().activity != "looking":
-            assert time.monotonic() < ends, (camera.status(), camera.watch())
+        while camera.status().state != "ready" or camera.watch.get().activity != "looking":
+            assert time.monotonic() < ends, (camera.status(), camera.watch.get())
             time.sleep(0.1)

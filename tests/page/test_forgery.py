@@ -16,7 +16,7 @@ import pytest
 from playwright.sync_api import Browser, Page, StorageState
 from tests.page.conftest import Daemon
 
-from veilcam_client import RotationOff
+from veilcam_client.models import RotationOff
 
 pytestmark = pytest.mark.page
 
@@ -114,8 +114,8 @@ def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
 ) -> None:
     with daemon.camera() as camera:
         # From here on a mask changes by request alone; a change that was under way is over.
-        camera.set_rotation(RotationOff())
-        before = camera.rotate().epoch
+        camera.rotation.set(RotationOff())
+        before = camera.rotation.advance().epoch
     half = json.loads(json.dumps(logged_in))["origins"][0]["localStorage"][0]["value"]
     # Even with the page's half, were it to know it.
     for known in ("0" * 64, half):
@@ -123,7 +123,7 @@ def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
         assert {name: told for name, told in learned.items() if told} == {}
     assert page.evaluate("localStorage.length") == 0
     with daemon.camera() as camera:
-        assert camera.rotation().epoch == before
+        assert camera.rotation.get().epoch == before
     # The browser does send its half, to every port: nothing but the other one stood in the way.
     with serving() as (target, cookies):
         page.evaluate(ATTEMPTS, {"url": target, "half": half})

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.page.conftest import Daemon, Open, log_in
 
-from veilcam_client import Rotation
+from veilcam_client.models import Rotation
 
 pytestmark = pytest.mark.page
 
@@ -75,11 +75,11 @@ def test_the_mask_is_changed_here(open_page: Open, daemon: Daemon) -> None:
     epoch = page.get_by_text(re.compile("^Epoch [0-9a-f]{8}$"))
     with daemon.camera() as camera:
         # After a change that was under way, if one was.
-        before = shown_epoch(camera.rotate())
+        before = shown_epoch(camera.rotation.advance())
         expect(epoch).to_have_text(before)
         page.get_by_role("button", name="Change it now").click()
         expect(epoch).not_to_have_text(before)
-        expect(epoch).to_have_text(shown_epoch(camera.rotation()))
+        expect(epoch).to_have_text(shown_epoch(camera.rotation.get()))
 
 
 def test_an_embedding_is_a_picture_where_the_token_may_see_it(

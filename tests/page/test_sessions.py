@@ -76,7 +76,7 @@ def test_the_daemon_restarts_and_the_page_comes_back(open_page: Open, daemon: Da
     page.get_by_role("link", name="Events").click()
     page.get_by_label("Masks and captures, too").check()
     with daemon.camera() as camera:
-        camera.rotate()
+        camera.rotation.advance()
     masks = page.get_by_role("listitem").filter(has_text="A new mask is shown")
     expect(masks).not_to_have_count(0)
     page.get_by_role("link", name="Live").click()

@@ -125,7 +125,7 @@ def test_events_stand_there_as_they_happen(open_page: Open, daemon: Daemon) -> N
     expect(masks).to_have_count(0)
     page.get_by_label("Masks and captures, too").check()
     with daemon.camera() as camera:
-        camera.rotate()
+        camera.rotation.advance()
     expect(masks).not_to_have_count(0)
 
 

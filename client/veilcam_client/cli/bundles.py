@@ -7,17 +7,8 @@ import typer
 
 from veilcam_client.camera import Camera
 from veilcam_client.cli.format import bundle_in_words
-from veilcam_client.cli.terminal import (
-    USAGE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    ask,
-    fail,
-    show,
-)
-from veilcam_client.http.options import DEFAULT_URL
-from veilcam_client.wire.bundles import InstalledBundle
+from veilcam_client.cli.terminal import USAGE, Ask, asking, fail
+from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
@@ -33,23 +24,21 @@ Digest = Annotated[str, typer.Argument(metavar="DIGEST", help="Its first digits 
 
 
 @app.command("list")
-def list_bundles(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
-) -> None:
+@asking()
+def list_bundles(ask: Ask) -> None:
     """Print all bundles; a star stands at the one in use."""
-    for installed in ask(url, timeout, Camera.bundles):
-        show(installed, bundle_in_words, json=json)
+    with ask.camera() as camera:
+        _show(ask, camera.bundles.list())
 
 
 @app.command()
+@asking(timeout=120.0)
 def install(
+    ask: Ask,
     file: Annotated[Path, typer.Argument(help="A bundle, *.veilcam.")],
     *,
     activate: Annotated[bool, typer.Option("--activate", help="Use it from now on.")] = False,
     allow_older: AllowOlder = False,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 120.0,
-    json: JsonOption = False,
 ) -> None:
     """Hand a bundle over to the daemon, which checks it."""
     if allow_older and not activate:
@@ -60,48 +49,41 @@ def install(
         fail(f"{file} cannot be read: {error.strerror}", USAGE)
 
     def question(camera: Camera) -> InstalledBundle:
-        installed = camera.install_bundle(bundle)
+        installed = camera.bundles.install(bundle)
         if not activate:
             return installed
-        return camera.activate_bundle(installed.digest, allow_older=allow_older)
+        return camera.bundles.activate(installed.digest, allow_older=allow_older)
 
-    show(ask(url, timeout, question), bundle_in_words, json=json)
+    ask(question, bundle_in_words)
 
 
 @app.command()
-def activate(
-    digest: Digest,
-    *,
-    allow_older: AllowOlder = False,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 120.0,
-    json: JsonOption = False,
-) -> None:
+@asking(timeout=120.0)
+def activate(ask: Ask, digest: Digest, *, allow_older: AllowOlder = False) -> None:
     """Take masks and classifiers from this bundle from now on."""
-
-    def question(camera: Camera) -> InstalledBundle:
-        return camera.activate_bundle(_whole(camera, digest), allow_older=allow_older)
-
-    show(ask(url, timeout, question), bundle_in_words, json=json)
+    ask(
+        lambda camera: camera.bundles.activate(_whole(camera, digest), allow_older=allow_older),
+        bundle_in_words,
+    )
 
 
 @app.command()
-def remove(
-    digest: Digest,
-    *,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
-) -> None:
+@asking()
+def remove(ask: Ask, digest: Digest) -> None:
     """Remove a bundle that is not in use, for good, and print those that are left."""
-    left = ask(url, timeout, lambda camera: camera.remove_bundle(_whole(camera, digest)))
-    for installed in left:
-        show(installed, bundle_in_words, json=json)
+    with ask.camera() as camera:
+        _show(ask, camera.bundles.remove(_whole(camera, digest)))
+
+
+def _show(ask: Ask, bundles: InstalledBundles) -> None:
+    for installed in bundles.bundles:
+        ask.show(installed, bundle_in_words)
 
 
 def _whole(camera: Camera, start: str) -> str:
     """Return the one digest that begins so."""
-    found = [one.digest for one in camera.bundles() if one.digest.startswith(start)]
+    bundles = camera.bundles.list().bundles
+    found = [one.digest for one in bundles if one.digest.startswith(start)]
     if len(found) != 1:
         raise ValueError(f"{len(found)} bundles begin with {start!r}: see 'veilcam bundle list'")
     return found[0]

@@ -8,30 +8,21 @@ import typer
 
 from veilcam_client.camera import Camera
 from veilcam_client.cli.format import record_in_words, run_in_words
-from veilcam_client.cli.terminal import (
-    DEVICE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    errors,
-    fail,
-)
+from veilcam_client.cli.terminal import DEVICE, Ask, asking, fail
 from veilcam_client.errors import VeilcamError
-from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.calibration import CalibrationRun
 
 _EVERY = 0.5
 """Between two looks at how it goes on [s]."""
 
 
+@asking()
 def calibrate(
+    ask: Ask,
     *,
     repeats: Annotated[
         int, typer.Option(min=1, max=100, help="Exposures for one measurement.")
     ] = 2,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Measure the camera with itself; it takes no captures meanwhile, for some minutes.
 
@@ -39,19 +30,19 @@ def calibrate(
     found from then on. Wants a token of the scope calibrate; Ctrl-C ends it, and nothing changes.
     Where no daemon runs: 'veilcamd calibrate' on the device.
     """
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        run = camera.start_calibration(repeats=repeats)
+    with ask.camera() as camera:
+        run = camera.calibration.start(repeats=repeats)
         try:
             run = _follow(camera, run)
         except BaseException:
             # It may have ended by itself, or the daemon be gone.
             with suppress(VeilcamError):
-                camera.cancel_calibration()
+                camera.calibration.cancel()
             raise
-        found = camera.calibration()
+        found = camera.calibration.get()
     if run.stage != "done":
         fail(f"{run.detail or 'the calibration was cancelled'}; nothing was changed", DEVICE)
-    if json:
+    if ask.json:
         typer.echo(found.model_dump_json())
     elif found.signed is not None:
         typer.echo(record_in_words(found.signed.record))
@@ -64,11 +55,11 @@ def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
         if run.stage == "waiting" and run.scene is not None:
             typer.echo(f"\n{run.instruction}", err=True)
             typer.prompt("Press Enter when it is so", default="", show_default=False, err=True)
-            run = camera.confirm_scene(run.scene)
+            run = camera.calibration.confirm(run.scene)
             continue
         if (news := (run.stage, run.scene, 10 * run.exposures // max(1, run.total))) != said:
             typer.echo(run_in_words(run), err=True)
             said = news
         time.sleep(_EVERY)
-        run = camera.calibration().run or run
+        run = camera.calibration.get().run or run
     return run

@@ -11,23 +11,13 @@ from typing import Annotated
 
 import typer
 
-from veilcam_client.camera import Camera
-from veilcam_client.cli.terminal import (
-    USAGE,
-    DeviceOption,
-    JsonOption,
-    KeyOption,
-    TimeoutOption,
-    UrlOption,
-    errors,
-    fail,
-    tell,
-)
+from veilcam_client.cli.terminal import USAGE, Ask, DeviceOption, KeyOption, asking, fail
 from veilcam_client.collecting import Shot, Show, collect, held_before, labelled_pictures, unaided
-from veilcam_client.http.options import DEFAULT_URL
 
 
+@asking()
 def collect_command(
+    ask: Ask,
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="Of measurements; gone on with if it is there.")
     ],
@@ -51,9 +41,6 @@ def collect_command(
     ] = 1.0,
     key: KeyOption = None,
     device: DeviceOption = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Measure labelled pictures and write what is measured to a file, each as soon as it is taken.
 
@@ -63,16 +50,20 @@ def collect_command(
     """
     if folder is None and (per_class is not None or viewer is not None):
         fail("--per-class and --viewer go with FOLDER", USAGE)
-    with errors(), Camera(url, read_timeout=timeout) as camera:
+    with ask.camera() as camera:
         show: Show = unaided
         if folder is None:
             shots: Iterator[Shot] = _by_hand(camera.status().bundle.labels)
         else:
             shots = iter(labelled_pictures(folder, per_class=per_class))
-            show = held_before(camera) if viewer is None else _viewed(shlex.split(viewer), pause)
+            show = (
+                held_before(camera.simulation)
+                if viewer is None
+                else _viewed(shlex.split(viewer), pause)
+            )
         added = collect(camera, file, shots, show=show, key=key, device=device)
     found = {"added": added, "file": str(file)}
-    tell(found, f"{added} measurements more in {file}", json=json)
+    ask.tell(found, f"{added} measurements more in {file}")
 
 
 def _by_hand(labels: tuple[str, ...]) -> Iterator[Shot]:

@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from veilcam_client.camera import Camera
 from veilcam_client.cli.terminal import (
     FORGED,
     USAGE,
+    Ask,
     DeviceOption,
     JsonOption,
-    TimeoutOption,
-    UrlOption,
+    asking,
     errors,
     fail,
     tell,
 )
-from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.log_file import fetch_log, verify_log
 
 if TYPE_CHECKING:
@@ -30,22 +28,21 @@ if TYPE_CHECKING:
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="Of records, one a line.")]
 
 
+@asking()
 def log(
+    ask: Ask,
     file: LogFile,
     *,
     head: Annotated[
         Path | None, typer.Option(help="Write the signed head of the log to this file.")
     ] = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Fetch the signed log of what a camera answered, or go on where FILE ends.
 
     A token needs read:log.
     """
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        added, ends = fetch_log(camera, file)
+    with ask.camera() as camera:
+        added, ends = fetch_log(camera.log, file)
     if head is not None:
         try:
             head.write_text(f"{ends.model_dump_json()}\n")
@@ -53,7 +50,7 @@ def log(
             fail(f"cannot write {head}: {error.strerror}", USAGE)
     found = {"added": added, "file": str(file), "position": ends.position}
     words = f"{added} records more in {file}, up to record {ends.position}"
-    tell(found, words, json=json)
+    ask.tell(found, words)
 
 
 def verify(

@@ -10,9 +10,9 @@ import numpy.typing as npt
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import __version__
 from veilcam_client.camera import Camera
-from veilcam_client.cli import bundles, calibrate, logs, look, receivers, tokens
+from veilcam_client.cli import bundles, logs, receivers, tokens
+from veilcam_client.cli.calibrate import calibrate
 from veilcam_client.cli.collect import collect_command
 from veilcam_client.cli.format import (
     capture_in_words,
@@ -25,22 +25,20 @@ from veilcam_client.cli.format import (
     status_in_words,
 )
 from veilcam_client.cli.picture import in_blocks
-from veilcam_client.cli.profiles import TOKEN, environment, variables_of
 from veilcam_client.cli.terminal import (
+    EXIT_CODES_HELP,
     USAGE,
+    Ask,
     DeviceOption,
     JsonOption,
     KeyOption,
-    TimeoutOption,
-    UrlOption,
-    ask,
+    asking,
     errors,
     fail,
-    show,
     tell,
+    version_of,
 )
-from veilcam_client.http.credentials import read_secret
-from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.cli.watch import watch
 from veilcam_client.numbers import picture
 from veilcam_client.recording import record as write_recording
 from veilcam_client.wire.rotation import (
@@ -50,116 +48,46 @@ from veilcam_client.wire.rotation import (
     RotationPolicy,
 )
 
-
-def lease(
-    *,
-    end: Annotated[
-        bool,
-        typer.Option(
-            "--break",
-            help="End it, whoever holds the camera: wants the scopes mask:rotate and admin:tokens.",
-        ),
-    ] = False,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
-) -> None:
-    """Show who holds the camera for a while, or end that."""
-    answer = ask(url, timeout, Camera.break_lease if end else Camera.lease_state)
-    show(answer, lease_in_words, json=json)
-
-
-def record(
-    *,
-    count: Annotated[int, typer.Option(min=1, help="How many captures.")],
-    out: Annotated[Path, typer.Option(help="New file, which its owner alone may read.")],
-    labels: Annotated[
-        bool, typer.Option("--labels", help="Classify each capture, and keep its label.")
-    ] = False,
-    key: KeyOption = None,
-    device: DeviceOption = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
-) -> None:
-    """Take captures and write them to a file, for 'veilcamd serve --replay'.
-
-    Sealed ones stay sealed unless --key opens them. A token needs read:status and read:embedding,
-    read:embedding:raw where embeddings leave raw, and classify for labels.
-    """
-    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
-        size = write_recording(camera, out, count=count, labels=labels)
-    found = {"captures": count, "file": str(out), "bytes": size}
-    tell(found, f"wrote {count} captures to {out}, {size / 1e6:.1f} MB", json=json)
-
-
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
-    "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
-    "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
-    "12 leased, 13 recording, 14 key, 15 sealed, 16 log file, 17 log that does not hold, "
-    "18 discovery, 19 pulling a bundle.",
+    f"authority of an https one. {EXIT_CODES_HELP}",
 )
-app.command()(calibrate.calibrate)
-app.command()(lease)
-app.command()(look.look)
-app.add_typer(tokens.app, name="token")
-app.add_typer(bundles.app, name="bundle")
-app.add_typer(receivers.app, name="receiver")
-app.command()(record)
-app.command("collect")(collect_command)
-app.command()(logs.log)
-app.command()(logs.verify)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"veilcam {__version__}")
-        raise typer.Exit
 
 
 @app.callback()
 def veilcam(
-    context: typer.Context,
     *,
-    profile: Annotated[
-        str | None,
-        typer.Option(
-            envvar="VEILCAM_PROFILE",
-            help="Camera of this name in veilcam/config.toml, instead of --url, VEILCAM_URL, "
-            "VEILCAM_TOKEN and VEILCAM_CA_FILE.",
-        ),
-    ] = None,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(envvar="VEILCAM_TOKEN_FILE", help="File of the token."),
-    ] = None,
     _: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=version_of("veilcam"), is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Ask a Veilcam camera what it sees."""
-    with errors():
-        variables = {} if profile is None else variables_of(profile)
-        if token_file is not None:
-            variables[TOKEN] = read_secret(token_file)
-    context.obj = profile
-    context.with_resource(environment(variables))
 
 
 @app.command()
-def status(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
-) -> None:
+@asking()
+def status(ask: Ask) -> None:
     """Show what the camera is and what it is doing."""
-    show(ask(url, timeout, Camera.status), status_in_words, json=json)
+    ask(lambda camera: camera.status(), status_in_words)
 
 
 @app.command()
+@asking()
+def classify(ask: Ask) -> None:
+    """Tell what is in front of the camera."""
+    ask(lambda camera: camera.classify(), classification_in_words)
+
+
+@app.command()
+@asking()
 def capture(
+    ask: Ask,
     *,
     out: Annotated[
         Path | None,
@@ -167,28 +95,19 @@ def capture(
     ] = None,
     key: KeyOption = None,
     device: DeviceOption = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Take one embedding."""
-    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
+    with ask.camera(key=key, device=device) as camera:
         answer = camera.capture()
         if out is not None:
             _save(out, np.asarray(answer))
-    show(answer, capture_in_words, json=json)
+    ask.show(answer, capture_in_words)
 
 
 @app.command()
-def classify(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
-) -> None:
-    """Tell what is in front of the camera."""
-    show(ask(url, timeout, Camera.classify), classification_in_words, json=json)
-
-
-@app.command()
-def watch(
+@asking()
+def events(
+    ask: Ask,
     *,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many events.")] = None,
     since: Annotated[str | None, typer.Option(help="Go on after this event id.")] = None,
@@ -202,30 +121,24 @@ def watch(
     ] = False,
     key: KeyOption = None,
     device: DeviceOption = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Print events as they happen, one a line."""
-    if pictures and json:
+    if pictures and ask.json:
         fail("--picture is for a person, and --json for a program: give one", USAGE)
-    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
+    with ask.camera(key=key, device=device) as camera:
         for event in islice(camera.events(last_event_id=since), count):
-            show(event, dated_in_words, json=json)
+            ask.show(event, dated_in_words)
             if pictures and event.kind in ("classification", "seen", "gone"):
                 typer.echo(in_blocks(np.asarray(camera.capture())))
 
 
-@app.command()
-def diagnostics(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
-) -> None:
-    """Show versions, settings, and what failed lately."""
-    show(ask(url, timeout, Camera.diagnostics), diagnostics_in_words, json=json)
+app.command()(watch)
 
 
 @app.command()
+@asking()
 def rotate(
+    ask: Ask,
     *,
     off: Annotated[bool, typer.Option("--off", help="Keep the mask until told otherwise.")] = False,
     every_seconds: Annotated[
@@ -241,9 +154,6 @@ def rotate(
         int | None,
         typer.Option(help="Captures that a mask may still serve when the next is not ready."),
     ] = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Show another mask now, or say when masks change."""
     if sum((off, every_seconds is not None, every_captures is not None)) > 1:
@@ -262,12 +172,70 @@ def rotate(
             policy = EveryCaptures(captures=every_captures, reuse=reuse or 0)
     except ValidationError as error:
         fail(refusal(error), USAGE)
-    answer = ask(
-        url,
-        timeout,
-        lambda camera: camera.rotate() if policy is None else camera.set_rotation(policy),
+    ask(
+        lambda camera: camera.rotation.advance() if policy is None else camera.rotation.set(policy),
+        rotation_in_words,
     )
-    show(answer, rotation_in_words, json=json)
+
+
+@app.command()
+@asking()
+def lease(
+    ask: Ask,
+    *,
+    end: Annotated[
+        bool,
+        typer.Option(
+            "--break",
+            help="End it, whoever holds the camera: wants the scopes mask:rotate and admin:tokens.",
+        ),
+    ] = False,
+) -> None:
+    """Show who holds the camera for a while, or end that."""
+    ask(
+        lambda camera: camera.lease.revoke() if end else camera.lease.get(),
+        lease_in_words,
+    )
+
+
+@app.command()
+@asking()
+def record(
+    ask: Ask,
+    *,
+    count: Annotated[int, typer.Option(min=1, help="How many captures.")],
+    out: Annotated[Path, typer.Option(help="New file, which its owner alone may read.")],
+    labels: Annotated[
+        bool, typer.Option("--labels", help="Classify each capture, and keep its label.")
+    ] = False,
+    key: KeyOption = None,
+    device: DeviceOption = None,
+) -> None:
+    """Take captures and write them to a file, for 'veilcamd serve --replay'.
+
+    Sealed ones stay sealed unless --key opens them. A token needs read:status and read:embedding,
+    read:embedding:raw where embeddings leave raw, and classify for labels.
+    """
+    with ask.camera(key=key, device=device) as camera:
+        size = write_recording(camera, out, count=count, labels=labels)
+    found = {"captures": count, "file": str(out), "bytes": size}
+    ask.tell(found, f"wrote {count} captures to {out}, {size / 1e6:.1f} MB")
+
+
+app.command("collect")(collect_command)
+app.command()(calibrate)
+app.add_typer(bundles.app, name="bundle")
+app.add_typer(receivers.app, name="receiver")
+app.add_typer(tokens.app, name="token")
+app.command()(logs.log)
+app.command()(logs.verify)
+
+
+@app.command()
+@asking()
+def diagnostics(ask: Ask) -> None:
+    """Show versions, settings, and what failed lately."""
+    ask(lambda camera: camera.diagnostics(), diagnostics_in_words)
 
 
 @app.command()

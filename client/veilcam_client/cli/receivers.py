@@ -10,18 +10,7 @@ from pydantic import ValidationError
 
 from veilcam_client.camera import Camera
 from veilcam_client.cli.format import receiver_in_words
-from veilcam_client.cli.terminal import (
-    USAGE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    ask,
-    errors,
-    fail,
-    show,
-    tell,
-)
-from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.cli.terminal import USAGE, Ask, JsonOption, asking, errors, fail, tell
 from veilcam_client.wire.sealing import ReceiverRequest, Receivers
 
 LEAST_DIGITS = 8
@@ -55,15 +44,14 @@ def keygen(
 
 
 @app.command()
+@asking()
 def add(
+    ask: Ask,
     key: Annotated[
         str, typer.Argument(metavar="KEY", help="The public key, or a file that holds it.")
     ],
     *,
     label: Annotated[str, typer.Option(help="For whom or what it is.")],
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Seal to a receiver from the next mask on, and print the camera's key, for --device."""
     with errors():
@@ -74,40 +62,34 @@ def add(
         fail(f"--label: {error.errors()[0]['msg']}", USAGE)
 
     def question(camera: Camera) -> Receivers:
-        camera.add_receiver(asked.label, asked.key)
-        return camera.receivers()
+        camera.receivers.add(asked.label, asked.key)
+        return camera.receivers.list()
 
-    show(ask(url, timeout, question), lambda answer: answer.device, json=json)
+    ask(question, lambda answer: answer.device)
 
 
 @app.command("list")
-def list_receivers(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
-) -> None:
+@asking()
+def list_receivers(ask: Ask) -> None:
     """Print all receivers, the oldest first."""
-    for receiver in ask(url, timeout, Camera.receivers).receivers:
-        show(receiver, receiver_in_words, json=json)
+    with ask.camera() as camera:
+        for receiver in camera.receivers.list().receivers:
+            ask.show(receiver, receiver_in_words)
 
 
 @app.command()
+@asking()
 def remove(
+    ask: Ask,
     receiver_id: Annotated[
         str, typer.Argument(metavar="ID", help=f"Its first {LEAST_DIGITS} digits are enough.")
     ],
-    *,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Seal to a receiver no more, from the next mask on. What it has it still opens."""
-
-    def question(camera: Camera) -> str:
-        whole = _whole(camera, receiver_id)
-        camera.remove_receiver(whole)
-        return whole
-
-    removed = ask(url, timeout, question)
-    tell({"removed": removed}, f"removed {removed}", json=json)
+    with ask.camera() as camera:
+        removed = _whole(camera, receiver_id)
+        camera.receivers.remove(removed)
+    ask.tell({"removed": removed}, f"removed {removed}")
 
 
 def _public(key: str) -> str:
@@ -126,7 +108,7 @@ def _whole(camera: Camera, start: str) -> str:
     """Return the one id that begins so."""
     if len(start) < LEAST_DIGITS:
         raise ValueError(f"{start!r} is too short: give {LEAST_DIGITS} digits or more")
-    found = [one.id for one in camera.receivers().receivers if one.id.startswith(start)]
+    found = [one.id for one in camera.receivers.list().receivers if one.id.startswith(start)]
     if len(found) != 1:
         raise ValueError(
             f"{len(found)} receivers begin with {start!r}: see 'veilcam receiver list'"

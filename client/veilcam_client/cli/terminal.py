@@ -1,39 +1,44 @@
 """Common parts of the commands: options, answers, and errors with exit codes."""
 
+import inspect
 import json as encoder
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, NoReturn, TypeVar
+from typing import Annotated, Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 import typer
 from pydantic import BaseModel
 
 from veilcam_client.camera import Camera
-from veilcam_client.cli.profiles import URL
+from veilcam_client.cli.profiles import TOKEN, URL, environment, variables_of
 from veilcam_client.errors import (
+    AccessError,
     ApiError,
     ArgumentError,
     BusyError,
     ConnectError,
     DeviceError,
-    DiscoveryError,
-    ForbiddenError,
-    InvalidRequestError,
-    KeyFileError,
+    FileError,
     LeasedError,
-    LogFileError,
     ProtocolError,
-    RecordingError,
     RequestTimeoutError,
     SealedError,
-    ServerError,
-    UnauthorizedError,
     VeilcamError,
 )
+from veilcam_client.http.credentials import read_secret
+from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.wire.base import installed_version
 
+EXIT_CODES_HELP = (
+    "Exit codes: 0 done, 1 failed, 2 usage, 3 no connection, 4 timeout, 5 request refused, 6 busy, "
+    "7 device, 9 unreadable answer, 10 token, 12 leased, 13 file, 15 sealed, 17 forged log."
+)
+"""Of all commands."""
 USAGE, DEVICE = 2, 7
 FORGED = 17
 """A log of captures does not hold."""
@@ -41,35 +46,36 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ArgumentError, USAGE),
     (ConnectError, 3),
     (RequestTimeoutError, 4),
-    (InvalidRequestError, 5),
     (BusyError, 6),
     (DeviceError, DEVICE),
-    (ServerError, 8),
     (ProtocolError, 9),
-    (UnauthorizedError, 10),
-    (ForbiddenError, 11),
+    (AccessError, 10),
     (LeasedError, 12),
-    (RecordingError, 13),
-    (KeyFileError, 14),
+    (FileError, 13),
     (SealedError, 15),
-    (LogFileError, 16),
-    (DiscoveryError, 18),
+    (ApiError, 5),
+    (VeilcamError, 1),
 )
 
-FoundT = TypeVar("FoundT")
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
-
-
-def _beside_no_profile(context: typer.Context, url: str) -> str:
-    """Refuse another camera than that of the profile, whose token it would be told."""
-    if context.obj is not None and url != os.environ.get(URL):
-        fail(f"give --url or the profile {context.obj!r}, not both", USAGE)
-    return url
-
+P = ParamSpec("P")
 
 UrlOption = Annotated[
-    str,
-    typer.Option(envvar=URL, help="http://HOST:PORT or unix:///PATH.", callback=_beside_no_profile),
+    str | None,
+    typer.Option(
+        envvar=URL, help=f"http://HOST:PORT or unix:///PATH of the camera; {DEFAULT_URL} otherwise."
+    ),
+]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option(
+        envvar="VEILCAM_PROFILE",
+        help="Camera of this name in veilcam/config.toml, instead of --url, VEILCAM_URL, "
+        "VEILCAM_TOKEN and VEILCAM_CA_FILE.",
+    ),
+]
+TokenFileOption = Annotated[
+    Path | None, typer.Option(envvar="VEILCAM_TOKEN_FILE", help="File of the token.")
 ]
 TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
 KeyOption = Annotated[
@@ -80,45 +86,141 @@ DeviceOption = Annotated[
     str | None,
     typer.Option(help="Public key that the camera must have, as 'veilcam receiver add' prints it."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
-def ask(url: str, timeout: float, question: Callable[[Camera], FoundT]) -> FoundT:
-    """Ask a camera; exits with the code of what goes wrong."""
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        return question(camera)
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Camera that a command asks, and the form of what it prints."""
+
+    timeout: float
+    json: bool
+
+    @contextmanager
+    def camera(self, *, key: Path | None = None, device: str | None = None) -> Iterator[Camera]:
+        """Yield the camera; exits with the code of what goes wrong."""
+        with errors(), Camera(read_timeout=self.timeout, key=key, device=device) as camera:
+            yield camera
+
+    def __call__(
+        self, question: Callable[[Camera], AnswerT], in_words: Callable[[AnswerT], str]
+    ) -> None:
+        """Ask a question, and print the answer."""
+        with self.camera() as camera:
+            answer = question(camera)
+        self.show(answer, in_words)
+
+    def show(self, answer: AnswerT, in_words: Callable[[AnswerT], str]) -> None:
+        """Print an answer as it came, or in words."""
+        typer.echo(answer.model_dump_json() if self.json else in_words(answer))
+
+    def tell(self, found: Mapping[str, object], in_words: str) -> None:
+        """Print what a command did, as JSON or in words."""
+        tell(found, in_words, json=self.json)
+
+
+def asking(
+    timeout: float = 30.0,
+) -> Callable[[Callable[Concatenate[Ask, P], None]], Callable[..., None]]:
+    """Give a command the options of the camera that it asks, and ``--json``.
+
+    Args:
+        timeout: longest wait for an answer where no other is given [s].
+    """
+
+    def decorate(command: Callable[Concatenate[Ask, P], None]) -> Callable[..., None]:
+        own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
+
+        def run(**given: Any) -> None:
+            common = {name: given.pop(name) for name in _COMMON}
+            with errors():
+                variables = camera_of(common["url"], common["profile"], common["token_file"])
+            with environment(variables):
+                command(Ask(common["timeout"], common["json"]), **given)  # type: ignore[call-arg]
+
+        made = [
+            Parameter(
+                name,
+                Parameter.KEYWORD_ONLY,
+                default=timeout if name == "timeout" else default,
+                annotation=kind,
+            )
+            for name, (kind, default) in _COMMON.items()
+        ]
+        parameters = [*own, *made]
+        run.__name__, run.__doc__ = command.__name__, command.__doc__
+        vars(run)["__signature__"] = inspect.Signature(parameters)
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        return run
+
+    return decorate
+
+
+_COMMON: Mapping[str, tuple[Any, Any]] = {
+    "url": (UrlOption, None),
+    "profile": (ProfileOption, None),
+    "token_file": (TokenFileOption, None),
+    "timeout": (TimeoutOption, 30.0),
+    "json": (JsonOption, False),
+}
+
+
+def camera_of(
+    url: str | None, profile: str | None, token_file: Path | None
+) -> dict[str, str | None]:
+    """Return the variables by which ``Camera()`` finds the camera of these options.
+
+    A profile counts as a whole: no token reaches another camera than that which it is for.
+
+    Raises:
+        ValueError: options that do not fit, or a file that cannot be used.
+    """
+    if profile is not None and url not in (None, os.environ.get(URL)):
+        raise ArgumentError(f"give --url or the profile {profile!r}, not both")
+    variables = {} if profile is None else variables_of(profile)
+    if profile is None and url is not None:
+        variables[URL] = url
+    if token_file is not None:
+        variables[TOKEN] = read_secret(token_file)
+    return variables
+
+
+def version_of(command: str) -> Callable[[bool], None]:
+    """Return the callback of ``--version``, which prints the version of a command."""
+
+    def show(wanted: bool) -> None:
+        if wanted:
+            typer.echo(f"{command} {installed_version()}")
+            raise typer.Exit
+
+    return show
 
 
 @contextmanager
-def errors() -> Iterator[None]:
+def errors(command: str = "veilcam") -> Iterator[None]:
     """Say what went wrong, and exit with its code."""
     try:
         yield
     except VeilcamError as error:
         code = next(code for kind, code in EXIT_CODES if isinstance(error, kind))
         hint = f" [{error.code}, request {error.request_id}]" if isinstance(error, ApiError) else ""
-        fail(f"{error}{hint}", code)
+        fail(f"{error}{hint}", code, command)
     except ValueError as error:
-        fail(str(error), USAGE)
+        fail(str(error), USAGE, command)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
-        # The reader went away: `veilcam watch | head`.
+        # The reader went away: `veilcam events | head`.
         sys.stderr.close()
         sys.exit(141)
 
 
-def fail(message: str, code: int) -> NoReturn:
+def fail(message: str, code: int, command: str = "veilcam") -> NoReturn:
     """Say why, and exit with this code."""
-    typer.echo(f"veilcam: error: {message}", err=True)
+    typer.echo(f"{command}: error: {message}", err=True)
     sys.exit(code)
 
 
 def tell(found: Mapping[str, object], in_words: str, *, json: bool) -> None:
     """Print what a command did, as JSON or in words."""
     typer.echo(encoder.dumps(found) if json else in_words)
-
-
-def show(answer: AnswerT, in_words: Callable[[AnswerT], str], *, json: bool) -> None:
-    """Print an answer as it came, or in words."""
-    typer.echo(answer.model_dump_json() if json else in_words(answer))

@@ -1,23 +1,12 @@
 """``veilcam token``: the tokens of a daemon, over its API."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.camera import Camera
-from veilcam_client.cli.terminal import (
-    USAGE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    ask,
-    fail,
-    show,
-)
+from veilcam_client.cli.terminal import USAGE, Ask, asking, fail
 from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
-from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, TokenRequest
 
 app: typer.Typer = typer.Typer(
@@ -29,7 +18,9 @@ app: typer.Typer = typer.Typer(
 
 
 @app.command()
+@asking()
 def create(
+    ask: Ask,
     *,
     label: Annotated[str, typer.Option(help="For whom or what it is.")],
     scope: Annotated[
@@ -40,9 +31,6 @@ def create(
         float | None,
         typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
     ] = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Make a token and print it. It is shown this once."""
     unknown = unknown_scopes(scope)
@@ -58,16 +46,16 @@ def create(
         option = {"scopes": "scope", "seconds": "days"}.get(str(item["loc"][0]), item["loc"][0])
         fail(f"--{option}: {item['msg']}", USAGE)
 
-    answer = ask(
-        url,
-        timeout,
-        lambda camera: camera.create_token(asked.label, asked.scopes, seconds=asked.seconds),
+    ask(
+        lambda camera: camera.tokens.create(asked.label, asked.scopes, seconds=asked.seconds),
+        lambda made: made.secret,
     )
-    show(answer, lambda made: made.secret, json=json)
 
 
 @app.command("list")
+@asking()
 def list_tokens(
+    ask: Ask,
     *,
     limit: Annotated[
         int | None, typer.Option(min=1, help="Print so many at most, the oldest first.")
@@ -75,32 +63,30 @@ def list_tokens(
     after: Annotated[
         str | None, typer.Option(metavar="ID", help="Print those that are newer than this one.")
     ] = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
     """Print all tokens, or some, without their secrets."""
     left = float("inf") if limit is None else limit
-    while left > 0:
-        wanted = int(min(left, TOKENS_AT_ONCE))
-        answer = ask(url, timeout, partial(Camera.tokens, limit=wanted, after=after))
-        for token in answer.tokens:
-            show(token, token_in_words, json=json)
-        if answer.next is None:
-            return
-        after, left = answer.next, left - wanted
+    with ask.camera() as camera:
+        while left > 0:
+            wanted = int(min(left, TOKENS_AT_ONCE))
+            page = camera.tokens.list(limit=wanted, after=after)
+            for token in page.tokens:
+                ask.show(token, token_in_words)
+            if page.next is None:
+                return
+            after, left = page.next, left - wanted
 
 
 @app.command()
+@asking()
 def revoke(
+    ask: Ask,
     token_id: Annotated[
         str, typer.Argument(metavar="ID", help="As 'veilcam token list' names it.")
     ],
-    *,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
-    """Let a token do nothing any more, from the next request on."""
-    answer = ask(url, timeout, lambda camera: camera.revoke_token(token_id))
-    show(answer, lambda revoked: f"revoked {revoked.id}", json=json)
+    """End a token, from the next request on."""
+    ask(
+        lambda camera: camera.tokens.revoke(token_id),
+        lambda revoked: f"revoked {revoked.id}",
+    )

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import httpx
+from httpx_sse import ServerSentEvent
 from pydantic import BaseModel, ValidationError
 
-from veilcam_client.errors import ProtocolError, RequestTimeoutError, VeilcamError
-from veilcam_client.http.sse import Message
+from veilcam_client.errors import ArgumentError, ProtocolError, RequestTimeoutError, VeilcamError
+from veilcam_client.http.calls import Call
+from veilcam_client.http.options import log
 from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, UNAUTHORIZED_HINT, Problem
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
 from veilcam_client.wire.events import EVENT, Event
 
 MAX_ANSWER = 8 * 2**20
 """More than any answer of a daemon has: the largest is a page of the log of captures [bytes]."""
+MAX_EVENT = 2**20
+"""No event of a daemon comes near [bytes]."""
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 ResultT = TypeVar("ResultT")
@@ -55,11 +61,33 @@ class RawResponse(Received, Generic[ResultT]):
         return self._result
 
 
-def raw_response(received: Received | None, result: ResultT) -> RawResponse[ResultT]:
-    """Return what a method made of the answer beside it."""
-    if received is None:
-        raise TypeError("this method asks the daemon for nothing")
-    return RawResponse(received.status_code, received.headers, received.content, result)
+_KEPT: ContextVar[list[Received] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def kept_answers() -> Iterator[list[Received]]:
+    """Keep the answers that calls within the context get, as they came."""
+    kept: list[Received] = []
+    before = _KEPT.set(kept)
+    try:
+        yield kept
+    finally:
+        _KEPT.reset(before)
+
+
+def keep(received: Received) -> None:
+    """Keep an answer, where somebody asked for it as it came."""
+    kept = _KEPT.get()
+    if kept is not None:
+        kept.append(received)
+
+
+def raw_response(kept: list[Received], result: ResultT) -> RawResponse[ResultT]:
+    """Return what a method made of the last answer beside it."""
+    if not kept:
+        raise ArgumentError("this method asks the daemon for nothing: use one that does")
+    last = kept[-1]
+    return RawResponse(last.status_code, last.headers, last.content, result)
 
 
 def new_call() -> dict[str, str]:
@@ -113,22 +141,45 @@ class Body:
         return unreadable(self._response, f"an answer of more than {MAX_ANSWER >> 20} MiB")
 
 
-def read(answer: type[AnswerT], received: Received) -> AnswerT:
-    """Return the model of an answer, or raise the error that it is."""
+class EventSize:
+    """Size of one event of a stream, which must end within a limit."""
+
+    def __init__(self) -> None:
+        self._size = 0
+
+    def ended(self) -> None:
+        """Note the end of an event."""
+        self._size = 0
+
+    def checked(self, piece: bytes) -> bytes:
+        """Return the next piece of a stream; raises ProtocolError for an event without an end."""
+        self._size += len(piece)
+        if self._size > MAX_EVENT:
+            raise ProtocolError(f"the server sent an event of more than {MAX_EVENT >> 20} MiB")
+        if piece.endswith((b"\n\n", b"\r\n\r\n")):
+            self._size = 0  # a heartbeat is no event
+        return piece
+
+
+def read(kind: type[AnswerT], received: Received) -> AnswerT:
+    """Return the model of an answer with its ``request_id``, or raise the error that it is."""
     if not 200 <= received.status_code < 300:
         raise error_of(received)
     try:
-        if media_type(received) == NPY_MEDIA_TYPE:
+        if media_type(received) != NPY_MEDIA_TYPE:
+            answer = kind.model_validate_json(received.content or b"{}")
+        else:
             capture = Capture.from_npy(received.content, received.headers)
-            if not isinstance(capture, answer):
+            if not isinstance(capture, kind):
                 raise ValueError("only a capture comes as an array")
-            return capture
-        return answer.model_validate_json(received.content or b"{}")
+            answer = capture
+        vars(answer)["_request_id"] = received.request_id
+        return answer
     except ValueError as error:
-        raise unreadable(received, f"an answer that is no {answer.__name__}") from error
+        raise unreadable(received, f"an answer that is no {kind.__name__}") from error
 
 
-def event_of(message: Message) -> Event:
+def event_of(message: ServerSentEvent) -> Event:
     """Return the event in a message; raises ``ProtocolError``."""
     try:
         return EVENT.validate_json(message.data)
@@ -151,7 +202,16 @@ def error_of(received: Received) -> VeilcamError:
     return unreadable(received, f"HTTP {received.status_code} without problem details{who}")
 
 
-def media_type(received: Received) -> str:
+def note(call: Call[AnswerT], received: Received, begun: float) -> None:
+    """Write an answer to the log: neither what was sent nor what came."""
+    log.debug(
+        "%s %s: %d, request %r, %.1f ms",
+        *(call.method, call.path.partition("?")[0], received.status_code, received.request_id),
+        1e3 * (time.monotonic() - begun),
+    )
+
+
+def media_type(received: Received | httpx.Response) -> str:
     """Return the media type of an answer."""
     return received.headers.get("content-type", "").partition(";")[0]
 

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import ssl
 from collections.abc import Callable, Hashable
 from typing import Generic, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+import httpx
 
 from veilcam_client.errors import ArgumentError
+from veilcam_client.http.options import Options
 
 
 class Closable(Protocol):
@@ -68,3 +73,38 @@ class ClientHolder(Generic[ClientT]):
         self._closed = True
         ours = self._given is None and self._used_in in (None, (os.getpid(), self._place()))
         return self._client if ours else None
+
+
+def async_own_client(options: Options) -> httpx.AsyncClient:
+    """Return an own client for asyncio."""
+    transport = httpx.AsyncHTTPTransport(verify=_trusted(options), uds=options.socket)
+    # trust_env off: a proxy meant for the web must not see a camera on this machine.
+    return httpx.AsyncClient(transport=transport, trust_env=False)
+
+
+def own_client(options: Options) -> httpx.Client:
+    """Return an own client."""
+    # Late, as httpx does it: half of what an HTTP client loads is for its sockets.
+    from veilcam_client.http.sockets import DeadlineTransport  # noqa: PLC0415
+
+    transport = DeadlineTransport(_trusted(options), options.socket)
+    return httpx.Client(transport=transport, trust_env=False)
+
+
+def async_place() -> Hashable:
+    """Return the event loop, which a client belongs to."""
+    import asyncio  # noqa: PLC0415 - late, as in deadline
+
+    return asyncio.get_running_loop()
+
+
+def place() -> Hashable:
+    """Return None: a client belongs to the whole process."""
+    return None
+
+
+def _trusted(options: Options) -> ssl.SSLContext:
+    """Return the trust of TLS; none, and at no cost, for plain HTTP."""
+    if urlsplit(options.base).scheme != "https" and options.credentials.ca_file is None:
+        return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    return httpx.create_ssl_context(verify=options.credentials.trusted())

@@ -1,8 +1,14 @@
-"""Sockets that keep the deadline of a call, whose peer gains nothing by dribbling."""
+"""Sockets of the synchronous client, each wait of which ends with the deadline of the call.
+
+A time-out of httpx begins anew with every byte of a header, so a server that dribbles would never
+end. asyncio ends such a call by itself; here the public network backend of httpcore does.
+"""
 
 from __future__ import annotations
 
 import ssl
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import httpcore
@@ -11,25 +17,72 @@ import httpx
 from veilcam_client.http.deadline import Limit
 
 PIECE = 4096
-"""Read or written at once: how much time is left is asked before each [bytes]."""
-LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20)
-"""Those of httpx."""
+"""Longest read or write between two looks at the deadline [bytes]."""
 
 
-class DeadlineTransport(httpx.HTTPTransport):
-    """httpx's own transport, on sockets that keep a :class:`Limit`."""
+class DeadlineTransport(httpx.BaseTransport):
+    """Connection pool of httpcore as a transport of httpx.
+
+    Args:
+        trusted: trust of TLS.
+        unix_socket: path of a unix socket; None: TCP.
+    """
 
     def __init__(self, trusted: ssl.SSLContext, unix_socket: str | None) -> None:
-        super().__init__(verify=trusted)
-        # Its constructor takes no network backend; the pool does.
         self._pool = httpcore.ConnectionPool(
             ssl_context=trusted,
             uds=unix_socket,
-            max_connections=LIMITS.max_connections,
-            max_keepalive_connections=LIMITS.max_keepalive_connections,
-            keepalive_expiry=LIMITS.keepalive_expiry,
+            max_connections=100,
+            max_keepalive_connections=20,
+            keepalive_expiry=5.0,
             network_backend=_Backend(),
         )
+
+    def handle_request(self, request: httpx.Request) -> httpx.Response:
+        """Send a request; raises errors of httpx."""
+        url = request.url
+        asked = httpcore.Request(
+            request.method,
+            httpcore.URL(
+                scheme=url.raw_scheme, host=url.raw_host, port=url.port, target=url.raw_path
+            ),
+            headers=request.headers.raw,
+            content=request.stream,
+            extensions=request.extensions,
+        )
+        with _errors_of_httpx():
+            answer = self._pool.handle_request(asked)
+        return httpx.Response(
+            answer.status,
+            headers=answer.headers,
+            stream=_Body(answer),
+            extensions=answer.extensions,
+        )
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._pool.close()
+
+
+class _Body(httpx.SyncByteStream):
+    def __init__(self, answer: httpcore.Response) -> None:
+        self._answer = answer
+
+    def __iter__(self) -> Iterator[bytes]:
+        with _errors_of_httpx():
+            yield from self._answer.iter_stream()
+
+    def close(self) -> None:
+        self._answer.close()
+
+
+@contextmanager
+def _errors_of_httpx() -> Iterator[None]:
+    """Raise errors of httpcore as those of httpx, which have the same names."""
+    try:
+        yield
+    except (httpcore.TimeoutException, httpcore.NetworkError, httpcore.ProtocolError) as error:
+        raise getattr(httpx, type(error).__name__)(str(error)) from error
 
 
 class _Backend(httpcore.SyncBackend):
@@ -69,8 +122,7 @@ class _Stream(httpcore.NetworkStream):
             left = _left(timeout, httpcore.ConnectTimeout)
             return _Stream(self._stream.start_tls(ssl_context, server_hostname, left))
         except BaseException:
-            # httpcore 1.0 closes it where its own handshake fails, and not where there is no time
-            # left to begin one.
+            # httpcore leaves it open where there is no time left to begin a handshake.
             self._stream.close()
             raise
 

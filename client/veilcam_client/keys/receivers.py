@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.hpke import (
     Suite,
 )
 
-from veilcam_client.errors import KeyFileError
+from veilcam_client.errors import FileError
 
 SUITE = Suite(KEM.MLKEM768_X25519, KDF.HKDF_SHA256, AEAD.CHACHA20_POLY1305)
 """Of hybrid public key encryption (RFC 9180), base mode."""
@@ -108,7 +108,7 @@ class ReceiverKey:
         """Read what :meth:`write` wrote.
 
         Raises:
-            KeyFileError: it cannot be read, others may read it, or it is no such key. No message
+            FileError: it cannot be read, others may read it, or it is no such key. No message
                 repeats it.
         """
         path = Path(path)
@@ -117,22 +117,20 @@ class ReceiverKey:
                 mode = os.fstat(stream.fileno()).st_mode
                 text = stream.read(_MOST_READ).decode("ascii", "replace").strip()
         except OSError as error:
-            raise KeyFileError(
-                f"{path} cannot be read ({error.strerror}): check the path"
-            ) from None
+            raise FileError(f"{path} cannot be read ({error.strerror}): check the path") from None
         if mode & 0o077:
-            raise KeyFileError(f"{path} is open to others: run chmod 600 {path}")
+            raise FileError(f"{path} is open to others: run chmod 600 {path}")
         try:
             if text.startswith(_PRIVATE_PREFIX):
                 return cls(base64.b64decode(text.removeprefix(_PRIVATE_PREFIX), validate=True))
         except ValueError:
             pass
-        raise KeyFileError(
+        raise FileError(
             f"{path} holds no receiver's private key: make one with 'veilcam receiver keygen'"
         )
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a new file that its owner alone may read; raises :class:`KeyFileError`."""
+        """Write a new file that its owner alone may read; raises :class:`FileError`."""
         path = Path(path)
         line = f"{_PRIVATE_PREFIX}{base64.b64encode(self._raw).decode()}\n".encode()
         try:
@@ -146,12 +144,12 @@ class ReceiverKey:
                 path.unlink()  # half a key is none, and it would keep a whole one off
                 raise
         except FileExistsError:
-            raise KeyFileError(
+            raise FileError(
                 f"{path} exists and was left alone: whoever replaces a receiver's key cannot open "
                 "what was sealed to it; give another name"
             ) from None
         except OSError as error:
-            raise KeyFileError(f"{path} cannot be written ({error.strerror}): check it") from None
+            raise FileError(f"{path} cannot be written ({error.strerror}): check it") from None
 
     def open(self, sealed: bytes, info: bytes) -> bytes:
         """Open what was sealed to the public half; raises ``InvalidTag``."""

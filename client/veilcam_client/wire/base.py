@@ -11,24 +11,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.errors import (
+    AccessError,
     ApiError,
     BusyError,
     DeviceError,
     FieldError,
-    ForbiddenError,
-    InvalidRequestError,
     LeasedError,
-    ServerError,
-    UnauthorizedError,
 )
 
 if TYPE_CHECKING:
     import numpy.typing as npt  # loads NumPy, which most answers need not
+    from pydantic import GetJsonSchemaHandler  # loads what makes JSON schemas
+    from pydantic_core import CoreSchema
 
 API_VERSION = 1
 PROBLEM_MEDIA_TYPE = "application/problem+json"
@@ -36,15 +36,41 @@ CALL_HEADER = "Veilcam-Call"
 """Header that names a request: 128 random bits, 32 hexadecimal digits. Its answer repeats it."""
 UNAUTHORIZED_HINT = "give a token as token= or in VEILCAM_TOKEN"
 _BY_CODE: Mapping[str, type[ApiError]] = {
-    "unauthorized": UnauthorizedError,
-    "forbidden": ForbiddenError,
+    "unauthorized": AccessError,
+    "forbidden": AccessError,
     "leased": LeasedError,
 }
 _BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
 ExampleT = TypeVar("ExampleT")
 
 
-class Answer(BaseModel):
+class Described(BaseModel):
+    """Base of all models, whose JSON schemas describe each field by its docstring."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for kind in cls.__mro__:
+            for name, text in _field_docs(kind).items():
+                if name in properties:
+                    properties[name].setdefault("description", text)
+        return schema
+
+
+class Result(Described):
+    """Base of what a method returns."""
+
+    @property
+    def request_id(self) -> str | None:
+        """Name of the request in the daemon's log; None for what no request returned."""
+        # No field: it is not compared, signed or written, and copies keep it.
+        return vars(self).get("_request_id")
+
+
+class Answer(Result):
     """Base of answers: checked strictly, and open to fields that a newer daemon adds."""
 
     # Deferred: of some sixty answers a program reads a few, and each takes a millisecond to build.
@@ -64,25 +90,35 @@ class Nothing(Answer):
     """Nothing but that it was done: HTTP 204, without a body."""
 
 
-class Problem(Answer):
+class Problem(Described):
     """Problem details (RFC 9457) with a stable ``code``."""
 
+    model_config: ClassVar[ConfigDict] = Answer.model_config
+
     type: str
+    """URN of the problem."""
     title: str
+    """The same for all problems of this code."""
     status: int
+    """Status code of HTTP."""
     detail: str
+    """Fault, and what to do."""
     instance: str
+    """Path of the request."""
     code: str
+    """Stable name of the problem."""
     request_id: str
+    """Name of the request in the daemon's log."""
     retryable: bool
+    """True: the same request may succeed later."""
     errors: tuple[FieldError, ...] = ()
+    """Fields that were refused."""
 
     def error(self, retry_after: float | None = None) -> ApiError:
         """Return the error to raise, chosen by the code or else by the HTTP status."""
-        other = ServerError if self.status >= 500 else InvalidRequestError
-        kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, other)
+        kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, ApiError)
         return kind(
-            f"{self.detail} ({UNAUTHORIZED_HINT})" if kind is UnauthorizedError else self.detail,
+            f"{self.detail} ({UNAUTHORIZED_HINT})" if self.code == "unauthorized" else self.detail,
             code=self.code,
             status=self.status,
             request_id=self.request_id,
@@ -92,7 +128,7 @@ class Problem(Answer):
         )
 
 
-class Question(BaseModel):
+class Question(Result):
     """Base of requests: checked strictly, and closed to unknown fields."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
@@ -121,6 +157,24 @@ class Examples(Sequence[ExampleT]):
 
     def __getitem__(self, place: int | slice) -> ExampleT | Sequence[ExampleT]:
         return self._made[place]
+
+
+@cache
+def _field_docs(kind: type) -> dict[str, str]:
+    """Docstrings of fields, read late: pydantic would read all of them with each import."""
+    from ast import AnnAssign, Constant, Expr, Name, parse  # noqa: PLC0415 - for documents alone
+    from inspect import cleandoc, getsource  # noqa: PLC0415
+
+    if not kind.__module__.startswith(__package__ or ""):
+        return {}
+    body = parse(getsource(kind)).body[0].body  # type: ignore[attr-defined]
+    return {
+        field.target.id: cleandoc(doc.value.value)
+        for field, doc in pairwise(body)
+        if isinstance(field, AnnAssign) and isinstance(field.target, Name)
+        if isinstance(doc, Expr) and isinstance(doc.value, Constant)
+        if isinstance(doc.value.value, str)
+    }
 
 
 @cache

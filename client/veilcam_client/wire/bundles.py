@@ -17,10 +17,11 @@ class CardFinding(Answer):
     outcome: str
     """``PASS``, ``FAIL`` or ``NOT CLAIMED``."""
     figure: float
-    """What the worst attacker reached."""
+    """Result of the worst attacker, in ``unit``."""
     end: float
-    """Of the figure's one-sided interval."""
+    """End of the figure's one-sided interval, in ``unit``."""
     unit: str
+    """Unit of figure and end."""
 
 
 class CardSummary(Answer):
@@ -32,18 +33,20 @@ class CardSummary(Answer):
     mode: str
     """The masks that were attacked: ``fresh``, ``random``, or ``pairs`` and their number."""
     form: str
-    """In which embeddings left the attacked camera."""
+    """Form of embeddings of the attacked camera."""
     quick: bool
     """Few masks and light attackers."""
     made_at: datetime
+    """Time of the attacks."""
     rows: tuple[CardFinding, ...]
+    """One row for each threat."""
 
 
 class MaskHiding(Answer):
     """Figures of what a bundle's masks hide, as its maker measured it without a key."""
 
     visible: bool
-    """Whether a mask shows pictures of the scene to an eye."""
+    """True: a mask shows pictures of the scene to an eye."""
     found: tuple[str, ...]
     """A sentence for each attacker: eye, machine with candidates, machine with the task."""
 
@@ -54,20 +57,23 @@ class BundleInfo(Answer):
     digest: str
     """SHA-256 of the file."""
     task: str
+    """Name of the task, as ``mnist``."""
     mode: str
     """``pairs``: stored masks; ``fresh``: a new one for every epoch, drawn from a key."""
     labels: tuple[str, ...]
+    """Labels that its classifiers tell."""
     embedding_shape: tuple[int, ...]
+    """Shape of an embedding: rows and columns, or channels before them."""
     pairs: int
     """Stored masks; 0 in mode ``fresh``."""
     version: int = 0
-    """Of its owner's choice, from 1 on; 0 for one that has none."""
+    """Version that its owner chose, from 1 on; 0: none."""
     signed_by: str | None = None
     """First digits of the SHA-256 of its owner's key; None for one that is not signed."""
     card: CardSummary | None = None
     """Its privacy card; None where it has none, or one of other masks."""
     hiding: MaskHiding | None = None
-    """What its masks hide; None where nobody measured it."""
+    """Figures of what its masks hide; None: nobody measured them."""
 
 
 class InstalledBundle(Answer):
@@ -76,19 +82,20 @@ class InstalledBundle(Answer):
     digest: str
     """SHA-256 of the file: its name."""
     size: int
-    """[bytes]"""
+    """Size of its file [bytes]."""
     active: bool
-    """Whether masks and classifiers come from it now."""
+    """True: masks and classifiers come from it."""
     configured: bool
-    """Whether the daemon was started with it; it cannot be removed."""
+    """True: the daemon was started with it, and it cannot be removed."""
     bundle: BundleInfo | None = None
-    """What it holds; None for a file that was damaged on the disk."""
+    """Content; None for a file that was damaged on the disk."""
 
 
 class InstalledBundles(Answer):
     """All of them."""
 
     bundles: tuple[InstalledBundle, ...]
+    """Every bundle on the daemon's disk."""
 
 
 def example_bundle() -> BundleInfo:

@@ -19,28 +19,32 @@ class Quantity(Answer):
     """One measured number."""
 
     value: float = Field(allow_inf_nan=False)
+    """Measured value, in the unit that its name ends with."""
     uncertainty: float = Field(ge=0, allow_inf_nan=False)
     """Standard uncertainty, in the unit of the value."""
     residual: float = Field(ge=0, allow_inf_nan=False)
-    """Root mean square of what the fit left, relative to the measurements it was made from."""
+    """Root mean square of what the fit left, relative to the measurements [1]."""
 
 
 class CalibrationRecord(Answer):
     """A camera measured with itself. No mask and no measurement is in it."""
 
     version: Literal[2] = 2
+    """Version of this record."""
     taken_at: datetime
+    """Time of the measurement."""
     temperature_c: float | None = None
-    """Of the panel [degree Celsius]; None: there is no thermometer."""
+    """Temperature of the panel [degree Celsius]; None: there is no thermometer."""
     display: str
     """Name of the panel."""
     sensor: str
     """Name of the sensor."""
     simulated: bool
+    """True: the camera is simulated."""
     tab: str | None = None
-    """How the panel's glass sits in its controller's memory, where that was told."""
+    """Place of the panel's glass in its controller's memory, where that was told."""
     exposure_s: float
-    """That measurements are given for [s]."""
+    """Exposure that measurements are given for [s]."""
     geometry: str = Field(pattern=r"^[0-9a-f]{64}$")
     """SHA-256 digest of nominal camera, scene and embedding."""
     settling_s: Quantity
@@ -50,7 +54,7 @@ class CalibrationRecord(Answer):
     gain: Quantity
     """Measurement where a decoder expects 1: a white scene, no mask."""
     full_scale: Quantity
-    """What saturated pixels are worth to a decoder."""
+    """Value of saturated pixels to a decoder."""
     gamma: Quantity
     """A sub-pixel told ``w`` passes the amplitude ``floor + (1 - floor) w^gamma``."""
     contrast_floor: Quantity
@@ -66,21 +70,22 @@ class CalibrationRecord(Answer):
     shift_x_m: Quantity
     """Displacement of the mask along x [m]."""
     rotation_rad: Quantity
-    """Of the mask around the axis, from x towards y [rad]."""
+    """Rotation of the mask around the axis, from x towards y [rad]."""
     distance_error_m: Quantity
-    """How much farther from the mask the sensor is than nominal [m]."""
+    """Distance of the sensor from the mask, minus the nominal one [m]."""
     stray_light: Quantity
     """Share of the light on the sensor that is spread evenly over it."""
     psf_residual: float = Field(ge=0, allow_inf_nan=False)
-    """Relative error of the predicted response to a point behind masks that no fit has seen."""
+    """Relative error of the predicted response to a point behind masks that no fit has seen [1]."""
     drift: float = Field(allow_inf_nan=False)
-    """Relative change of the light while it was measured."""
+    """Relative change of the light while it was measured [1]."""
 
 
 class SignedCalibration(Answer):
     """A record and who vouches for it."""
 
     record: CalibrationRecord
+    """Measured values."""
     public_key: str = Field(pattern=r"^[0-9a-f]{64}$")
     """Ed25519, of the daemon that measured."""
     signature: str = Field(pattern=r"^[0-9a-f]{128}$")
@@ -98,16 +103,18 @@ class SceneConfirmation(Question):
     """The scene that is waited for is set."""
 
     scene: SceneName
+    """Scene that somebody has set."""
 
 
 class CalibrationRun(Answer):
     """Progress of a calibration, or its end."""
 
     stage: Stage
+    """Present stage."""
     scene: SceneName | None
-    """What is, or should be, in front of the camera; None before the first and after the last."""
+    """Scene in front of the camera, or that should be; None before the first and after the last."""
     instruction: str | None
-    """How to make that scene, while it is waited for."""
+    """Instruction for that scene, while it is waited for."""
     exposures: int
     """Taken so far."""
     total: int

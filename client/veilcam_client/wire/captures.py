@@ -27,6 +27,7 @@ class ClassificationRequest(Question):
     """Wishes for the answer beside the label."""
 
     include_embedding: bool = False
+    """True: the answer holds the embedding, too."""
 
 
 class Embedding(PicturedArray):
@@ -37,7 +38,9 @@ class Embedding(PicturedArray):
     """
 
     form: Literal["white", "raw"]
+    """Form in which it left the camera."""
     shape: tuple[int, ...]
+    """Rows and columns, or channels before them."""
     values: Float32List = Field(repr=False)
     """Row by row, not to be written to."""
 
@@ -78,8 +81,11 @@ class SealedEmbedding(ArrayAnswer):
     """
 
     form: Literal["sealed"] = "sealed"
+    """Form in which it left the camera."""
     shape: tuple[int, ...]
+    """Rows and columns, or channels before them."""
     dtype: Literal["float32"] = "float32"
+    """Type of the numbers inside."""
     block: str = Field(repr=False)
     """Ciphertext, base64."""
     envelope: Envelope = Field(repr=False)
@@ -111,30 +117,35 @@ class Exposure(Answer):
     """Times between which one mask alone was exposed."""
 
     started_after_shown_s: float
-    """From the end of the write to the panel to the start of the exposure; >= ``settle_s``."""
+    """Time from the end of the write to the panel to the exposure [s]; >= ``settle_s``."""
     settle_s: float
-    """What the panel was given to settle."""
+    """Time that the panel was given to settle [s]."""
     duration_s: float
+    """Length of the exposure [s]."""
 
 
 class Timing(Answer):
     """Times of the steps of one capture, as the server saw them."""
 
     queue_s: float
+    """Wait for captures before it [s]."""
     rotation_s: float
+    """Change of the mask [s]; 0 where it stayed."""
     settle_s: float
-    """Spent waiting for the panel to settle."""
+    """Wait for the panel to settle [s]."""
     capture_s: float
-    """Exposure and readout."""
+    """Exposure and readout [s]."""
 
 
 class Notes(Answer):
     """Notes that are sealed with an embedding, because they depend on the light or on others."""
 
     exposure: Exposure
+    """Times of the exposure."""
     timing: Timing
+    """Times of the steps."""
     scene: int | None = None
-    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
+    """Number of the scene of a simulated camera, from 0 on; None for a real one."""
 
 
 class Replay(Answer):
@@ -155,13 +166,15 @@ class Capture(ArrayAnswer):
     epoch: str
     """Random name of one showing of one mask: it tells nothing but equal or not."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch, from 0 on."""
+    """Number of the capture in its epoch, from 0 on."""
     taken_at: datetime
     """To the second."""
     embedding: AnyEmbedding
+    """Measurement of the sensor, open or sealed."""
     replay: Replay | None = None
+    """Origin in a recording; None for a camera."""
     notes: Notes | None = None
-    """Of a sealed embedding that was opened; nothing of them goes over the wire in the clear."""
+    """Notes of a sealed embedding that was opened; they are never sent in the clear."""
 
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""
@@ -201,34 +214,37 @@ class Prediction(Answer):
     """Classification of one embedding."""
 
     label: str
+    """Most probable label."""
     confidence: float | None = None
     """Probability of ``label``, in [0, 1]; None where a recording was made without scores."""
     scores: Mapping[str, float] | None = None
-    """Probability of every label, in the order of the bundle's labels; they sum to 1. None as
-    above."""
+    """Probability of every label, in [0, 1], in the order of the bundle's labels; None as above."""
 
 
 class Classification(ArrayAnswer):
     """The label of what the camera saw."""
 
     id: str
-    """As of :class:`Capture`."""
+    """Name of the answer, as of :class:`Capture`."""
     epoch: str
+    """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch, from 0 on."""
+    """Number of the capture in its epoch, from 0 on."""
     taken_at: datetime
     """To the second."""
     label: str
+    """Most probable label."""
     confidence: float | None = None
     """Probability of ``label``, in [0, 1]; None without a scope for scores."""
     scores: Mapping[str, float] | None = None
-    """Probability of every label; None without a scope for scores. Rounded to tenths with the scope
-    ``read:scores:rounded``; with ``read:scores`` they sum to 1."""
+    """Probability of every label, in [0, 1]; None without a scope for scores. With the
+    scope ``read:scores:rounded`` in tenths; with ``read:scores`` they sum to 1."""
     embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
     replay: Replay | None = None
+    """Origin in a recording; None for a camera."""
     notes: Notes | None = None
-    """Of a sealed embedding that was opened."""
+    """Notes of a sealed embedding that was opened."""
 
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""

@@ -18,61 +18,77 @@ class _Event(Answer):
     id: str
     """Send it as ``Last-Event-ID`` to go on after this event."""
     at: datetime
+    """Time of the event."""
 
 
 class StateChanged(_Event):
     """The daemon became ready, safe, ..."""
 
     kind: Literal["state"] = "state"
+    """Kind of the event."""
     state: State
+    """State from now on."""
     detail: str | None = None
+    """Reason, where the state is not ``ready``."""
     remedy: Remedy | None = None
-    """What helps, where the state is ``degraded`` or ``safe``."""
+    """Remedy, where the state is ``degraded`` or ``safe``."""
 
 
 class MaskChanged(_Event):
     """A new mask is on the panel."""
 
     kind: Literal["mask"] = "mask"
+    """Kind of the event."""
     epoch: str
+    """Random name of one showing of one mask."""
 
 
 class CaptureTaken(_Event):
     """An embedding was taken."""
 
     kind: Literal["capture"] = "capture"
+    """Kind of the event."""
     capture: str
     """The first 16 digits of the answer's id."""
     epoch: str
+    """Random name of one showing of one mask."""
     replay: bool = False
-    """Whether it comes from a recording."""
+    """True: it comes from a recording."""
 
 
 class Classified(_Event):
     """A capture got its label."""
 
     kind: Literal["classification"] = "classification"
+    """Kind of the event."""
     capture: str
-    """As of :class:`CaptureTaken`."""
+    """Name of the capture, as of :class:`CaptureTaken`."""
     epoch: str
+    """Random name of one showing of one mask."""
     label: str
+    """Most probable label."""
     replay: bool = False
-    """Whether the label comes from a recording."""
+    """True: the label comes from a recording."""
 
 
 class RotationChanged(_Event):
     """Another rotation policy holds."""
 
     kind: Literal["rotation"] = "rotation"
+    """Kind of the event."""
     policy: RotationPolicy
+    """Policy from now on."""
 
 
 class WatchChanged(_Event):
     """Another watch policy holds, or the camera began to look by itself, or ended."""
 
     kind: Literal["watch"] = "watch"
+    """Kind of the event."""
     policy: WatchPolicy
+    """Policy from now on."""
     activity: Activity
+    """Activity from now on."""
     detail: str | None = None
     """Why it does not look."""
 
@@ -81,62 +97,76 @@ class Seen(_Event):
     """The camera, which looks by itself, believes to see something that was not there before."""
 
     kind: Literal["seen"] = "seen"
+    """Kind of the event."""
     label: str
+    """Label of the object."""
     confidence: float | None = None
     """Probability of the label, in [0, 1]; None without a scope for scores, and in tenths with
     ``read:scores:rounded``."""
     duration_s: float
-    """How long it has been there by now: since the first capture that told of it."""
+    """Time since the first capture that told of it [s]."""
 
 
 class Gone(_Event):
     """End of a sighting: the object is gone, or the camera stopped to look."""
 
     kind: Literal["gone"] = "gone"
+    """Kind of the event."""
     label: str
-    """What was seen."""
+    """Label of the object."""
     confidence: float | None = None
-    """Probability that it is there no longer; as of :class:`Seen`. None where ``reason`` is
-    ``not_looking``, too."""
+    """Probability that it is there no longer, in [0, 1]; as of :class:`Seen`. None where ``reason``
+    is ``not_looking``, too."""
     duration_s: float
-    """How long it was there."""
+    """Time that it was there [s]."""
     reason: Literal["left", "not_looking"]
+    """``left``: the object; ``not_looking``: the camera looks no longer."""
 
 
 class BundleChanged(_Event):
     """Masks and classifiers come from another bundle."""
 
     kind: Literal["bundle"] = "bundle"
+    """Kind of the event."""
     digest: str
+    """SHA-256 of the file."""
     task: str
+    """Name of the task."""
     version: int = 0
-    """Of its owner's choice; 0 for one that has none."""
+    """Version that its owner chose; 0: none."""
     older: bool = False
-    """Whether that is lower than the version of the bundle before."""
+    """True: the version is lower than that of the bundle before."""
 
 
 class CalibrationChanged(_Event):
     """A calibration goes on, or ended."""
 
     kind: Literal["calibration"] = "calibration"
+    """Kind of the event."""
     run: CalibrationRun
+    """Progress of the calibration."""
 
 
 class Fault(_Event):
     """Something failed; ``code`` is that of the problem."""
 
     kind: Literal["fault"] = "fault"
+    """Kind of the event."""
     code: str
+    """Code of the problem."""
     detail: str
+    """Description of the fault."""
     remedy: Remedy = "wait"
-    """What helps."""
+    """Remedy."""
 
 
 class Gap(_Event):
     """Events were missed here; ``missed`` is None when the daemon was restarted in between."""
 
     kind: Literal["gap"] = "gap"
+    """Kind of the event."""
     missed: int | None = None
+    """Number of missed events; None after a restart."""
 
 
 Event = Annotated[

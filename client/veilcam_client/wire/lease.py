@@ -11,27 +11,29 @@ class LeaseRequest(Question):
     """Hold the camera: for ``seconds``, others take no captures and change no mask."""
 
     owner: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
-    """Who holds it, for those who are turned away."""
+    """Name of the holder, for those who are turned away."""
     seconds: float = Field(gt=0, le=3600)
-    """From now on [s]."""
+    """Length of the lease, from now on [s]."""
 
 
 class Lease(Answer):
     """Lease of the camera, if there is one."""
 
     held: bool
+    """True: somebody holds the camera."""
     owner: str | None
+    """Name that the holder gave."""
     expires_in_s: float | None
-    """Until it ends by itself."""
+    """Time until it ends by itself [s]."""
     mine: bool
-    """Whether who asks is the holder."""
+    """True: the caller is the holder."""
 
 
 class NewLease(Lease):
     """A lease just taken or renewed."""
 
     secret: str | None = Field(default=None, repr=False)
-    """Where no tokens are wanted, what the holder sends as ``Veilcam-Lease`` with every request."""
+    """Value of ``Veilcam-Lease`` in every request of the holder, where no tokens are wanted."""
 
 
 def _lease() -> Lease:

@@ -5,9 +5,16 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples
+from veilcam_client.wire.base import (
+    EXAMPLE_DIGEST,
+    EXAMPLE_EPOCH,
+    EXAMPLE_TIME,
+    Answer,
+    Examples,
+    Result,
+)
 from veilcam_client.wire.sealing import EXAMPLE_DEVICE
 
 LOG_VERSION: Literal[1] = 1
@@ -28,7 +35,7 @@ def _whole_second(at: datetime) -> datetime:
 Second = Annotated[datetime, AfterValidator(_whole_second)]
 
 
-class _Signed(BaseModel):
+class _Signed(Result):
     """Base of signed models: closed, so that nothing unknown stands beside what is signed."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
@@ -40,10 +47,13 @@ class LoggedCapture(_Signed):
     """An answer that left: a capture, or its label."""
 
     kind: Literal["capture"] = "capture"
+    """Kind of the entry."""
     epoch: str = Field(pattern=_NAME)
+    """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch."""
+    """Number of the capture in its epoch."""
     taken_at: Second
+    """Time of the capture, to the second."""
     mask: str = Field(pattern=_DIGEST)
     """Hiding commitment to the mask: HMAC-SHA256 of its levels under a key of the epoch."""
     tested_s: int = Field(ge=0, multiple_of=AGE_STEP)
@@ -58,9 +68,11 @@ class LogStarted(_Signed):
     """The daemon began to write."""
 
     kind: Literal["start"] = "start"
+    """Kind of the entry."""
     at: Second
+    """Time of the start, to the second."""
     after: Literal["nothing", "stop", "cut", "damage", "loss"]
-    """What came before: no log; a stop; an end without one, so that what left last may be missing;
+    """Reason of the start: no log; a stop; an end without one, so that the last may be missing;
     records that cannot be read any more; a log of which nothing is left."""
 
 
@@ -68,20 +80,25 @@ class LogStopped(_Signed):
     """The daemon ended by itself: all that left until then stands before."""
 
     kind: Literal["stop"] = "stop"
+    """Kind of the entry."""
     at: Second
+    """Time of the stop, to the second."""
 
 
 class LogGap(_Signed):
     """Answers left without records, as the disk took none."""
 
     kind: Literal["gap"] = "gap"
+    """Kind of the entry."""
     answers: int = Field(ge=1)
+    """Number of answers without a record."""
 
 
 class LogDropped(_Signed):
     """The oldest records were removed from the camera, to make room."""
 
     kind: Literal["dropped"] = "dropped"
+    """Kind of the entry."""
     before: _Position
     """Position of the oldest that was kept."""
 
@@ -95,6 +112,7 @@ class LogRecord(_Signed):
     """One line of the log."""
 
     version: Literal[1] = LOG_VERSION
+    """Version of the log's format."""
     device: str = Field(pattern=_DIGEST)
     """Public Ed25519 key of the device, 64 hexadecimal digits."""
     position: _Position
@@ -102,6 +120,7 @@ class LogRecord(_Signed):
     previous: str = Field(pattern=_DIGEST)
     """SHA-256 of the line before; zeros at position 0."""
     entry: Entry
+    """Content of the record."""
     signature: str = Field(repr=False, pattern=_SIGNATURE)
     """Ed25519 signature of all the rest, 128 hexadecimal digits."""
 
@@ -110,9 +129,11 @@ class LogHead(_Signed):
     """Signed end of the log: it shows what was dropped from its end since."""
 
     version: Literal[1] = LOG_VERSION
+    """Version of the log's format."""
     device: str = Field(pattern=_DIGEST)
+    """Public Ed25519 key of the device, 64 hexadecimal digits."""
     position: _Position
-    """Of the newest record."""
+    """Position of the newest record."""
     record: str = Field(pattern=_DIGEST)
     """SHA-256 of its line."""
     oldest: _Position
@@ -120,13 +141,16 @@ class LogHead(_Signed):
     missed: int = Field(ge=0)
     """Answers that left since without records, as the disk takes none now."""
     at: Second
+    """Time of the signature, to the second."""
     signature: str = Field(repr=False, pattern=_SIGNATURE)
+    """Ed25519 signature of all the rest, 128 hexadecimal digits."""
 
 
 class LogRecords(Answer):
     """Records in their order."""
 
     records: tuple[LogRecord, ...]
+    """Records, the oldest first."""
     next: int | None = None
     """``after`` of the request for those that follow; None: there were no more."""
 

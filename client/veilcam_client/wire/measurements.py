@@ -19,29 +19,36 @@ class MeasurementsHeader(Answer):
     """The first line."""
 
     format: Literal["veilcam-measurements"] = "veilcam-measurements"
+    """Name of the format."""
     version: Literal[1] = 1
+    """Version of the format."""
     device: str
     """Public key of the camera."""
     bundle: str
     """SHA-256 of the bundle that it used."""
     mode: Literal["pairs", "fresh"]
+    """Masks of the bundle: stored ``pairs``, or ``fresh`` ones."""
     labels: tuple[str, ...]
-    """Of the bundle, in their order."""
+    """Labels of the bundle, in their order."""
     shape: tuple[int, ...]
-    """Of an embedding."""
+    """Shape of an embedding."""
     begun_at: datetime
+    """Time of the first measurement."""
 
 
 class Measured(Answer):
     """One measurement; every other line is one."""
 
     picture: str | None
-    """What was shown, by its path in its folder; None where a person said what it was."""
+    """Path of the picture in its folder; None where a person told the label."""
     label: str
+    """Label of the scene."""
     epoch: str
+    """Random name of one showing of one mask."""
     number: int = Field(ge=0)
-    """Of the capture in its epoch."""
+    """Number of the capture in its epoch."""
     taken_at: datetime
+    """Time of the capture, to the second."""
     values: Float32List = Field(repr=False)
     """As they were read, row by row."""
     mask_key: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$", repr=False)

@@ -13,13 +13,16 @@ class RotationOff(Question):
     """The mask stays until it is changed by hand."""
 
     mode: Literal["off"] = "off"
+    """Kind of the policy."""
 
 
 class EverySeconds(Question):
     """A new mask once the present one has been shown for ``seconds`` [s], or a little less."""
 
     mode: Literal["seconds"] = "seconds"
+    """Kind of the policy."""
     seconds: float = Field(ge=0.1, le=86_400.0)
+    """Longest time of a mask on the panel [s]."""
     jitter: float = Field(default=0.0, ge=0.0, le=86_400.0)
     """Each mask stays shorter by a random time of up to this [s], drawn anew for each."""
     reuse: int = Field(default=0, ge=0, le=1_000_000)
@@ -38,7 +41,9 @@ class EveryCaptures(Question):
     """A new mask once the present one has served ``captures`` captures."""
 
     mode: Literal["captures"] = "captures"
+    """Kind of the policy."""
     captures: int = Field(ge=1, le=1_000_000)
+    """Captures under one mask."""
     reuse: int = Field(default=0, ge=0, le=1_000_000)
     """Captures more that a mask may serve when the next one is not ready; 0 waits for it."""
 
@@ -54,12 +59,13 @@ class Preparation(Answer):
     """Preparation of the next epoch, in the background, so that no capture waits for it."""
 
     ready: bool
+    """True: the next mask is prepared."""
     prepared: int
     """Epochs prepared so far."""
     last_s: float
-    """How long the last one took; 0 before the first."""
+    """Time that the last one took [s]; 0 before the first."""
     late: int
-    """How many masks a capture found due before the next one was ready."""
+    """Masks that a capture found due before the next one was ready."""
     reused: int
     """Captures taken under a mask that was due, because the policy allows it."""
 
@@ -68,13 +74,15 @@ class Rotation(Answer):
     """Policy of mask changes, and the present epoch."""
 
     policy: RotationPolicy
+    """Policy of mask changes."""
     epoch: str | None
     """None while no mask is shown."""
     epoch_age_s: float | None = None
-    """How long it has been shown [s]."""
+    """Time since the mask was shown [s]."""
     captures: int
     """Taken under this epoch so far."""
     preparation: Preparation
+    """Preparation of the next mask."""
 
 
 def example_rotation() -> Rotation:

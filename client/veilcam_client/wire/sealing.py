@@ -43,12 +43,15 @@ class Envelope(Answer):
     """The key of an epoch, sealed to every receiver and signed by the device."""
 
     version: Literal[1] = ENVELOPE_VERSION
+    """Version of the envelope's format."""
     device: str = Field(pattern=_DIGEST)
     """Public Ed25519 key of the device, 64 hexadecimal digits."""
     epoch: str = Field(pattern=_NAME)
+    """Random name of one showing of one mask."""
     bundle: str = Field(pattern=_DIGEST)
     """SHA-256 of the bundle in use."""
     keys: tuple[SealedKey, ...] = Field(min_length=1, max_length=MOST_RECEIVERS)
+    """The key of the epoch, for each receiver."""
     signature: str = Field(repr=False, pattern=_SIGNATURE)
     """Ed25519 signature of all the rest, 128 hexadecimal digits."""
 
@@ -75,7 +78,9 @@ class PairedReceiver(Answer):
     id: str
     """SHA-256 of its public key: its name in envelopes."""
     label: str
+    """Label for people."""
     added_at: datetime
+    """Time of the pairing."""
 
 
 class Receivers(Answer):
@@ -84,6 +89,7 @@ class Receivers(Answer):
     device: str
     """Its public Ed25519 key, 64 hexadecimal digits: give it to receivers, who check it."""
     receivers: tuple[PairedReceiver, ...]
+    """Receivers, the oldest first."""
 
 
 EXAMPLE_DEVICE = "d7" * 32

@@ -32,7 +32,7 @@ class HeldScene(Answer):
     scene: int
     """Its number, as captures name it that see it."""
     warning: str | None = None
-    """What makes a picture show less than it could: it uses under an eighth of its range."""
+    """Warning that a picture uses less than an eighth of its range."""
 
 
 class PanelFaults(Question):
@@ -73,17 +73,20 @@ class LightFaults(Question):
     """Light of a simulated camera."""
 
     bypass: float = Field(default=0.0, ge=0, le=1)
-    """Light that comes past the mask, as a share of the open window's."""
+    """Light that comes past the mask, as a share of the open window's, in [0, 1]."""
     lamp: float = Field(default=1.0, ge=0, le=1)
-    """Brightness of the lamp, from now on."""
+    """Brightness of the lamp from now on, in [0, 1]."""
 
 
 class Faults(Question):
     """Faults of a simulated camera; none, unless they are given."""
 
     panel: PanelFaults = Field(default_factory=PanelFaults)
+    """Faults of the panel."""
     sensor: SensorFaults = Field(default_factory=SensorFaults)
+    """Faults of the sensor."""
     light: LightFaults = Field(default_factory=LightFaults)
+    """Light on the sensor."""
 
 
 def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:

@@ -45,8 +45,11 @@ class Device(Answer):
     """The panel and the sensor."""
 
     display: str
+    """Name of the panel."""
     sensor: str
+    """Name of the sensor."""
     simulated: bool
+    """True: both are simulated."""
     key: str
     """Its public Ed25519 key, 64 hexadecimal digits: it signs envelopes."""
 
@@ -55,7 +58,9 @@ class Queue(Answer):
     """Captures admitted and not yet answered, and how many may be."""
 
     waiting: int
+    """Captures that wait."""
     limit: int
+    """Captures that may wait."""
 
 
 class WallClock(Answer):
@@ -64,33 +69,42 @@ class WallClock(Answer):
     zone: str
     """Time zone, such as ``Europe/Berlin``."""
     synchronised: bool
-    """Whether the kernel calls it synchronised."""
+    """True: the kernel calls it synchronised."""
 
 
 class Status(Answer):
     """The daemon at a glance."""
 
     version: str
+    """Version of the daemon."""
     api_version: int
+    """Version of the API."""
     state: State
+    """State of the camera."""
     detail: str | None = None
     """Why the state is not ``ready``."""
     remedy: Remedy | None = None
-    """What helps, where the state is ``degraded`` or ``safe``."""
+    """Remedy, where the state is ``degraded`` or ``safe``."""
     experiment: str | None = None
     """``wrong-classifier`` when labels are meaningless on purpose."""
     uptime_s: float
+    """Time since the start [s]."""
     captures: int
+    """Captures since the start."""
     release: Release
-    """In which form embeddings leave."""
+    """Form in which embeddings leave."""
     raw_budget: int
     """Embeddings that may leave raw behind one mask, over its whole life."""
     receivers: tuple[PairedReceiver, ...]
     """To whom epochs are sealed, from the next one on."""
     device: Device
+    """Panel, sensor and key."""
     bundle: BundleInfo
+    """Bundle in use."""
     rotation: Rotation
+    """Policy of mask changes, and the present mask."""
     queue: Queue
+    """Captures that wait."""
     clock: WallClock | None = None
     """None: an older daemon's."""
 
@@ -99,35 +113,43 @@ class PastState(Answer):
     """A state that the daemon entered."""
 
     at: datetime
+    """Time of the change."""
     state: State
+    """State from then on."""
     detail: str | None
+    """Reason, where it was not ``ready``."""
     remedy: Remedy | None = None
+    """Remedy, where something failed."""
 
 
 class PastFault(Answer):
     """Something that failed; ``code`` is that of the problem."""
 
     at: datetime
+    """Time of the fault."""
     code: str
+    """Code of the problem."""
     detail: str
+    """Description of the fault."""
     remedy: Remedy = "wait"
+    """Remedy."""
 
 
 class Diagnostics(Answer):
     """Versions, settings, and what happened lately. No secret is in it."""
 
     versions: Mapping[str, str]
-    """Of the interpreter, the system, and the packages that matter."""
+    """Versions of the interpreter, the system, and the main packages."""
     settings: Mapping[str, JsonValue]
-    """What the daemon was told; ``"given"`` stands for a path, an address or a label."""
+    """Settings of the daemon; ``"given"`` stands for a path, an address or a label."""
     states: tuple[PastState, ...]
     """The last ones, the latest last."""
     faults: tuple[PastFault, ...]
     """The last ones, the latest last."""
     events: Mapping[str, int]
-    """How many of each kind there were since the start."""
+    """Number of events of each kind since the start."""
     fault_counts: Mapping[str, int]
-    """How many of each code there were since the start."""
+    """Number of faults of each code since the start."""
     audit_lost: int
     """Lines of the audit log that could not be written."""
 
@@ -136,18 +158,20 @@ class DoctorFinding(Answer):
     """Result of one check of the machine."""
 
     name: str
+    """Name of the check."""
     outcome: Literal["ok", "bad", "skipped"]
     """``bad``: the daemon cannot serve as it should; ``skipped``: another must be well first."""
     found: str
     """Paths of the daemon stand there as their settings, ``$VEILCAM_...``."""
     remedy: str | None
-    """What to do, where it is not well."""
+    """Remedy, where it is not well."""
 
 
 class DoctorFindings(Answer):
     """Every check that can be made while the daemon holds panel and camera."""
 
     findings: tuple[DoctorFinding, ...]
+    """One for each check."""
 
 
 EXAMPLE_CLOCK = WallClock(zone="Europe/Berlin", synchronised=True)

@@ -39,19 +39,26 @@ class TokenRequest(Question):
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
     """For whom or what it is; it stands in the audit log."""
     scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
+    """Scopes of the token."""
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
-    """How long it is valid [s]; None: until it is revoked."""
+    """Time that it is valid [s]; None: until it is revoked."""
 
 
 class Token(Answer):
     """Token as the daemon knows it, without its secret."""
 
     id: str
+    """Name of the token, 12 hexadecimal digits."""
     label: str
+    """For whom or what it is."""
     scopes: tuple[str, ...]
+    """Scopes of the token."""
     created_at: datetime
+    """Time of its creation."""
     expires_at: datetime | None
+    """End of its validity; None: until it is revoked."""
     revoked_at: datetime | None
+    """Time of its revocation; None: it was not."""
     last_used_on: str | None
     """Day of the last request with it, as YYYY-MM-DD in UTC."""
 
@@ -60,12 +67,14 @@ class NewToken(Token):
     """A token just made; ``secret`` is shown this once."""
 
     secret: str = Field(repr=False)
+    """The token itself, as it is sent."""
 
 
 class Tokens(Answer):
     """Tokens, the oldest first, revoked and expired ones included."""
 
     tokens: tuple[Token, ...]
+    """Tokens, the oldest first."""
     next: str | None = None
     """``after`` of the request for those that follow; None: there are no more."""
 
@@ -74,12 +83,13 @@ class Session(Answer):
     """Caller and its scopes."""
 
     tokens: bool
-    """Whether this daemon wants tokens; without, there is nothing to log in to."""
+    """True: this daemon wants tokens; else there is nothing to log in to."""
     label: str
-    """Of the token."""
+    """Label of the token."""
     scopes: tuple[str, ...]
+    """Scopes of the caller."""
     expires_at: datetime | None
-    """When the session ends, or else the token; None: never."""
+    """End of the session, or else of the token; None: never."""
 
 
 class NewSession(Session):

@@ -30,7 +30,9 @@ class QuietHours(Question):
     """
 
     begin: str = Field(pattern=TIME_OF_DAY)
+    """First minute, HH:MM."""
     end: str = Field(pattern=TIME_OF_DAY)
+    """Minute after the last, HH:MM."""
 
     @model_validator(mode="after")
     def _check_length(self) -> QuietHours:
@@ -50,24 +52,27 @@ class WatchOff(Question):
     """It does not look: the panel is opaque, and nobody takes a capture."""
 
     mode: Literal["off"] = "off"
+    """Kind of the policy."""
 
 
 class OnRequest(Question):
     """It looks when somebody asks it to."""
 
     mode: Literal["on_request"] = "on_request"
+    """Kind of the policy."""
     quiet: QuietHours | None = None
-    """When the panel is opaque, and nobody takes a capture."""
+    """Hours when the panel is opaque, and nobody takes a capture."""
 
 
 class Watching(Question):
     """It looks by itself, and when somebody asks."""
 
     mode: Literal["watching"] = "watching"
+    """Kind of the policy."""
     rate_hz: float = Field(ge=SLOWEST, le=FASTEST)
-    """How often [1/s], where nothing else keeps the camera busy."""
+    """Rate of looks [1/s], where nothing else keeps the camera busy."""
     quiet: QuietHours | None = None
-    """As of :class:`OnRequest`."""
+    """Hours, as of :class:`OnRequest`."""
 
 
 WatchPolicy = Annotated[WatchOff | OnRequest | Watching, Field(discriminator="mode")]
@@ -113,24 +118,26 @@ class Belief(Answer):
     """Probability of that, in [0, 1]; None without a scope for scores, and in tenths with
     ``read:scores:rounded``."""
     since: datetime
-    """When it began to look so."""
+    """Start of that belief."""
     duration_s: float
-    """Since then."""
+    """Time since then [s]."""
     looks: int
-    """How many captures of its own tell that."""
+    """Number of its own captures that tell that."""
 
 
 class Sighting(Answer):
     """Something that was seen."""
 
     label: str
+    """Label of the object."""
     confidence: float | None = None
-    """The highest while it was there; as of :class:`Belief`."""
+    """The highest while it was there, in [0, 1]; as of :class:`Belief`."""
     seen_at: datetime
+    """Time of the first capture that told of it."""
     gone_at: datetime | None
     """None: it is there still."""
     duration_s: float
-    """Until it went, or until now."""
+    """Time until it went, or until now [s]."""
 
 
 MOST_SIGHTINGS = 64
@@ -141,7 +148,9 @@ class Watch(Answer):
     """Policy of the watch, and the belief."""
 
     policy: WatchPolicy
+    """Policy of the watch."""
     activity: Activity
+    """Present activity."""
     detail: str | None = None
     """Why it does not look."""
     looks: int

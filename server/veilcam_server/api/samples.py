@@ -42,58 +42,60 @@ class Sample:
 SAMPLES: Mapping[str, Sample] = {
     "capture": Sample("camera.capture()"),
     "classify": Sample("camera.classify()"),
-    "rotation": Sample("camera.rotation()"),
+    "rotation": Sample("camera.rotation.get()"),
     "set_rotation": Sample(
-        "camera.set_rotation(EverySeconds(seconds=30.0))", {"mode": "seconds", "seconds": 30.0}
+        "camera.rotation.set(EverySeconds(seconds=30.0))", {"mode": "seconds", "seconds": 30.0}
     ),
-    "rotate": Sample("camera.rotate()"),
-    "watch": Sample("camera.watch()"),
+    "rotate": Sample("camera.rotation.advance()"),
+    "watch": Sample("camera.watch.get()"),
     "set_watch": Sample(
-        "camera.set_watch(Watching(rate_hz=2.0))", {"mode": "watching", "rate_hz": 2.0}
+        "camera.watch.set(Watching(rate_hz=2.0))", {"mode": "watching", "rate_hz": 2.0}
     ),
     "events": Sample("next(camera.events())", options="--no-buffer"),
-    "lease_state": Sample("camera.lease_state()"),
+    "lease_state": Sample("camera.lease.get()"),
     "take_lease": Sample(
-        'camera.take_lease(seconds=60.0, owner="an experiment")',
+        'camera.lease.take(seconds=60.0, owner="an experiment")',
         {"owner": "an experiment", "seconds": 60.0},
     ),
-    "release_lease": Sample("camera.release_lease()"),
-    "log": Sample("camera.log()"),
-    "log_head": Sample("camera.log_head()"),
-    "tokens": Sample("camera.tokens()"),
+    "release_lease": Sample("camera.lease.release()"),
+    "log": Sample("camera.log.list()"),
+    "log_head": Sample("camera.log.head()"),
+    "tokens": Sample("camera.tokens.list()"),
     "create_token": Sample(
-        'camera.create_token("lamp", ["classify"], seconds=86_400)',
+        'camera.tokens.create("lamp", ["classify"], seconds=86_400)',
         {"label": "lamp", "scopes": ["classify"], "seconds": 86_400},
     ),
-    "revoke_token": Sample("camera.revoke_token(token_id)"),
-    "receivers": Sample("camera.receivers()"),
+    "revoke_token": Sample("camera.tokens.revoke(token_id)"),
+    "receivers": Sample("camera.receivers.list()"),
     "add_receiver": Sample(
-        'camera.add_receiver("archive", receiver_key)',
+        'camera.receivers.add("archive", receiver_key)',
         {"label": "archive", "key": "$RECEIVER_KEY"},
     ),
-    "remove_receiver": Sample("camera.remove_receiver(receiver_id)"),
+    "remove_receiver": Sample("camera.receivers.remove(receiver_id)"),
     "status": Sample("camera.status()"),
     "diagnostics": Sample("camera.diagnostics()"),
-    "calibration": Sample("camera.calibration()"),
-    "start_calibration": Sample("camera.start_calibration(repeats=2)", {"repeats": 2}),
-    "confirm_scene": Sample('camera.confirm_scene("lamp")', {"scene": "lamp"}),
-    "cancel_calibration": Sample("camera.cancel_calibration()"),
-    "bundles": Sample("camera.bundles()"),
+    "calibration": Sample("camera.calibration.get()"),
+    "start_calibration": Sample("camera.calibration.start(repeats=2)", {"repeats": 2}),
+    "confirm_scene": Sample('camera.calibration.confirm("lamp")', {"scene": "lamp"}),
+    "cancel_calibration": Sample("camera.calibration.cancel()"),
+    "bundles": Sample("camera.bundles.list()"),
     "install_bundle": Sample(
-        'camera.install_bundle(Path("hall.veilcam").read_bytes())',
+        'camera.bundles.install(Path("hall.veilcam").read_bytes())',
         file=("hall.veilcam", BUNDLE_MEDIA_TYPE),
     ),
-    "activate_bundle": Sample("camera.activate_bundle(digest)"),
-    "remove_bundle": Sample("camera.remove_bundle(digest)"),
+    "activate_bundle": Sample("camera.bundles.activate(digest)"),
+    "remove_bundle": Sample("camera.bundles.remove(digest)"),
     "session": Sample(),
     "begin_session": Sample(options="--cookie-jar cookies"),
     "end_session": Sample(options=f'--cookie cookies -H "{HEADER}: $HALF"'),
     "hold_scene": Sample(
-        'camera.hold_scene(Path("scene.png").read_bytes())', file=("scene.png", "image/png")
+        'camera.simulation.hold_scene(Path("scene.png").read_bytes())',
+        file=("scene.png", "image/png"),
     ),
-    "take_scene_away": Sample("camera.hold_scene(None)"),
+    "take_scene_away": Sample("camera.simulation.hold_scene(None)"),
     "set_faults": Sample(
-        "camera.set_faults(Faults(panel=PanelFaults(dead=True)))", {"panel": {"dead": True}}
+        "camera.simulation.set_faults(Faults(panel=PanelFaults(dead=True)))",
+        {"panel": {"dead": True}},
     ),
 }
 """By the id of the operation, where there is more to say than method, path and token."""

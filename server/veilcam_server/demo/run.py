@@ -13,9 +13,10 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client import Camera, EveryCaptures
+from veilcam_client import Camera
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import EveryCaptures
 from veilcam_client.wire.captures import Classification, SealedEmbedding
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
@@ -125,10 +126,10 @@ class _Show:
     def _pair(self, console: Console) -> None:
         """Have every embedding from now on sealed to our key, and say what serves."""
         camera, plan = self._camera, self._plan
-        camera.add_receiver("demonstration", self._key.public)
-        camera.set_rotation(EveryCaptures(captures=plan.captures_per_mask))
+        camera.receivers.add("demonstration", self._key.public)
+        camera.rotation.set(EveryCaptures(captures=plan.captures_per_mask))
         # The mask that is shown was prepared before there was a receiver.
-        camera.rotate()
+        camera.rotation.advance()
         status = camera.status()
         rows, columns = status.bundle.embedding_shape
         console.print(

@@ -13,7 +13,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from veilcam_client.errors import RecordingError
+from veilcam_client.errors import FileError
 from veilcam_client.recording import Recorded, Recording, read_recording
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Embedding, Prediction, Replay, SealedEmbedding
@@ -42,7 +42,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
     """
     try:
         recording = read_recording(path)
-    except RecordingError as error:
+    except FileError as error:
         raise StartError(str(error)) from None
     status = recording.header.status
     if status.release == "none":  # no camera released these

@@ -5,7 +5,7 @@ They need the extra ``server``. pytest finds the fixture ``fake_camera`` by itse
     from veilcam_server.testing import FakeCamera
 
     with FakeCamera() as fake, fake.camera() as camera:
-        camera.hold_scene(picture)
+        camera.simulation.hold_scene(picture)
         assert camera.classify().label == "7"
 """
 

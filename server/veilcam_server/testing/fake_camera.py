@@ -41,8 +41,8 @@ _PROMPT: Mapping[str, object] = {
 class FakeCamera:
     """Whole daemon within a context: tokens, masks, simulated panel and sensor, events.
 
-    It sees a handwritten digit; ``camera().hold_scene(...)`` sets another scene, and
-    ``camera().set_faults(...)`` its faults. It logs by the configuration of ``logging``.
+    It sees a handwritten digit. ``camera().simulation`` holds up another scene, or breaks it:
+    ``hold_scene(...)``, ``set_faults(...)``. It logs as ``logging`` is told to.
 
     Args:
         settings: settings of ``veilcamd serve``, by the names of the environment in lower case, as
@@ -77,7 +77,7 @@ class FakeCamera:
             self._url = undo.enter_context(_served(app, folder / "api.sock"))
             undo.callback(service.end_streams)
             with self.camera(token=self._any_token) as camera:
-                self._rotation = camera.rotation().policy
+                self._rotation = camera.rotation.get().policy
             self._stack = undo.pop_all()
         return self
 
@@ -111,10 +111,10 @@ class FakeCamera:
         Masks that were shown, tokens, receivers and bundles stay as they are.
         """
         with self.camera(token=self._any_token) as camera:
-            camera.break_lease()
-            camera.hold_scene(None)
-            camera.set_faults(Faults())
-            camera.set_rotation(self._rotation)
+            camera.lease.revoke()
+            camera.simulation.hold_scene(None)
+            camera.simulation.set_faults(Faults())
+            camera.rotation.set(self._rotation)
 
     def token(self, scopes: Sequence[Scope], label: str = "test") -> str:
         """Return the secret of a new token, for a camera with ``{"auth": "tokens"}``."""

@@ -21,7 +21,8 @@ EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "safetensors", "pooch", "fastap
 """First imports of every extra: without them there is the base install alone."""
 CLIENT = """
 import sys
-from veilcam_client import AsyncCamera, Camera, Embedding
+from veilcam_client import AsyncCamera, Camera
+from veilcam_client.models import Embedding
 from veilcam_client.wire.status import example_status
 example_status()
 of_sdk = {name.split('.')[0] for name in sys.modules}

@@ -6,6 +6,8 @@ import copy
 import inspect
 import pickle
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,15 +16,18 @@ import pytest
 
 import veilcam_client
 from veilcam_client import (
-    ApiError,
     AsyncCamera,
     AsyncEventStream,
     Camera,
     EventStream,
     VeilcamError,
+    errors,
+    events,
+    models,
 )
 from veilcam_client.cli.terminal import EXIT_CODES
-from veilcam_client.errors import FieldError
+from veilcam_client.errors import ApiError, FieldError
+from veilcam_client.resources import Resource
 
 PACKAGE = Path(veilcam_client.__file__).parent
 
@@ -33,12 +38,23 @@ SNAPSHOT = Path(__file__).with_name("public_api.txt")
 def public_api() -> str:
     """Every public name, with the signatures of functions, and methods and fields of classes."""
     lines = []
-    for name in veilcam_client.__all__:
-        thing = getattr(veilcam_client, name)
-        lines.append(f"{name}{signature(thing) if inspect.isfunction(thing) else ''}")
-        if inspect.isclass(thing):
-            lines += [f"    {member}" for member in members(thing)]
+    for module in (veilcam_client, errors, events, models):
+        lines.append(f"[{module.__name__}]")
+        defined = [name for name in vars(module) if name[0].isupper()]
+        for name in sorted(getattr(module, "__all__", defined)):
+            thing = getattr(module, name)
+            lines.append(f"{name}{signature(thing) if inspect.isfunction(thing) else ''}")
+            if inspect.isclass(thing):
+                lines += [f"    {member}" for member in members(thing)]
+    for kind in resources():
+        lines += [f"[{kind.__name__}]", *(f"    {member}" for member in members(kind))]
     return "\n".join(lines) + "\n"
+
+
+def resources() -> list[type]:
+    """Classes of the resources of a synchronous camera."""
+    found = vars(Camera("http://camera.local")).values()
+    return [type(each) for each in found if isinstance(each, Resource)]
 
 
 def members(kind: type) -> list[str]:
@@ -79,20 +95,37 @@ def test_sync_and_async_have_the_same_surface(kinds: tuple[type, type]) -> None:
     assert properties(sync) == properties(of_asyncio)
 
 
+def test_sync_and_async_have_the_same_resources() -> None:
+    own, of_asyncio = vars(Camera("http://x")), vars(AsyncCamera("http://x"))
+    assert set(own) == set(of_asyncio)
+    found = {name: type(each) for name, each in own.items() if isinstance(each, Resource)}
+    assert set(found) == {
+        *("bundles", "tokens", "receivers", "calibration", "rotation", "watch", "log"),
+        *("lease", "simulation"),
+    }
+    for name, kind in found.items():
+        assert surface(kind) == surface(type(of_asyncio[name]))
+        assert type(of_asyncio[name]).__name__ == f"Async{kind.__name__}"
+
+
 def properties(kind: type) -> set[str]:
     return {name for name, _ in inspect.getmembers(kind, lambda each: isinstance(each, property))}
 
 
-@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-def test_every_method_that_asks_takes_a_timeout_and_has_its_raw_answer(kind: type) -> None:
+@pytest.mark.parametrize("kind", [Camera, *resources()])
+def test_every_method_that_asks_takes_a_timeout(kind: type) -> None:
     asking = {
         name
         for name, parameters in surface(kind).items()
         if any(each.startswith("timeout:") for each in parameters)
-    } - {"__init__", "lease"}
-    assert asking == set(surface(kind)) - {"__init__", "close", "events", "lease"}
-    raw = kind("http://camera.local").with_raw_response
-    assert {name for name in vars(type(raw)) if not name.startswith("_")} == asking
+    } - {"__init__"}
+    assert asking == set(surface(kind)) - {"__init__", "close", "events", "raw"}
+
+
+def test_generated_files_are_up_to_date() -> None:
+    # Changed a file of async_*? Then: python client/unasync.py
+    command = [sys.executable, str(PACKAGE.parent / "unasync.py"), "--check"]
+    assert subprocess.run(command, check=False).returncode == 0
 
 
 def test_httpx_is_known_to_one_room() -> None:
@@ -101,14 +134,11 @@ def test_httpx_is_known_to_one_room() -> None:
     assert {path.parent.name for path in importers} == {"http"}
 
 
-def leaves(kind: type[VeilcamError]) -> list[type[VeilcamError]]:
-    below = kind.__subclasses__()
-    return [leaf for each in below for leaf in leaves(each)] if below else [kind]
+def every(kind: type[VeilcamError]) -> list[type[VeilcamError]]:
+    return [kind, *(each for below in kind.__subclasses__() for each in every(below))]
 
 
-@pytest.mark.parametrize("kind", leaves(VeilcamError))
-def test_error_survives_pickling_and_copying(kind: type[VeilcamError]) -> None:
-    fields = (FieldError("body.seconds", "too small"),)
+def error_of(kind: type[VeilcamError]) -> VeilcamError:
     told: dict[str, Any] = {
         "code": "c",
         "status": 429,
@@ -116,15 +146,34 @@ def test_error_survives_pickling_and_copying(kind: type[VeilcamError]) -> None:
         "retryable": True,
         "retry_after": 1.5,
     }
-    error = kind("why", **({**told, "errors": fields} if issubclass(kind, ApiError) else {}))
+    if issubclass(kind, ApiError):
+        return kind("why", **told, errors=(FieldError("body.seconds", "too small"),))
+    return kind("why", **(told if kind is VeilcamError else {}))
+
+
+@pytest.mark.parametrize("kind", every(VeilcamError))
+def test_error_survives_pickling_and_copying(kind: type[VeilcamError]) -> None:
+    error = error_of(kind)
     for again in (pickle.loads(pickle.dumps(error)), copy.deepcopy(error)):
         assert type(again) is kind
         assert (str(again), vars(again)) == ("why", vars(error))
 
 
-def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
-    assert set(leaves(VeilcamError)) == {kind for kind, _ in EXIT_CODES}
+def test_every_error_has_an_exit_code_of_its_own() -> None:
+    assert set(every(VeilcamError)) == {kind for kind, _ in EXIT_CODES}
     assert len({code for _, code in EXIT_CODES}) == len(EXIT_CODES)
+    for kind, code in EXIT_CODES:
+        assert next(code for each, code in EXIT_CODES if issubclass(kind, each)) == code
+
+
+def test_tree_of_errors_is_drawn() -> None:
+    drawn = re.findall(r"^ *``(\w+)``", errors.__doc__ or "", re.MULTILINE)
+    assert set(drawn) == {kind.__name__ for kind in every(VeilcamError)}
+    assert len(drawn) <= 12
+
+
+def test_top_of_the_package_has_forty_names_at_most() -> None:
+    assert len(veilcam_client.__all__) <= 40
 
 
 def test_package_is_typed() -> None:

@@ -21,19 +21,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client import (
-    AsyncCamera,
-    Camera,
-    DeviceError,
-    EveryCaptures,
-    EverySeconds,
-    VeilcamError,
-    Watching,
-    WatchOff,
-)
+from veilcam_client import AsyncCamera, Camera, VeilcamError
 from veilcam_client.cli.main import app as client_cli
-from veilcam_client.errors import SealedError
+from veilcam_client.errors import DeviceError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import EveryCaptures, EverySeconds, Watching, WatchOff
 from veilcam_client.wire.events import Classified, MaskChanged
 from veilcam_server.cli.main import app
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -109,7 +101,7 @@ def test_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file:
 
         # Every capture under its own mask, and the events tell of them in order.
         start = next(iter(camera.events(last_event_id="")))
-        camera.set_rotation(EveryCaptures(captures=1))
+        camera.rotation.set(EveryCaptures(captures=1))
         results = [camera.classify() for _ in range(4)]
         assert len({result.epoch for result in results}) == 4
         heard: dict[str, list[str]] = {"classification": [], "mask": []}
@@ -183,7 +175,7 @@ def test_unix_socket(options: list[str], tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == 0o600
         with Camera(url) as camera:
             assert camera.classify().label in "0123456789"
-        result = runner.invoke(client_cli, ["watch", "--url", url, "--since", "", "--count", "2"])
+        result = runner.invoke(client_cli, ["events", "--url", url, "--since", "", "--count", "2"])
         assert result.exit_code == 0
         assert len(result.stdout.splitlines()) == 2
         process.send_signal(signal.SIGTERM)
@@ -247,12 +239,12 @@ def test_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_pat
             assert captured.embedding.form == "white"
             assert np.linalg.norm(np.asarray(captured)) == pytest.approx(1)
             epochs.append(captured.epoch)
-        paired = camera.add_receiver("archive", key.public)
+        paired = camera.receivers.add("archive", key.public)
         assert camera.status().receivers == (paired,)
         # The mask shown now may be one from before; the second is none.
         forms = [camera.capture().embedding.form for _ in range(2)]
         assert forms[1] == "sealed"
-        camera.set_rotation(EverySeconds(seconds=50, jitter=10))
+        camera.rotation.set(EverySeconds(seconds=50, jitter=10))
         process.kill()
     device = status.device.key
     with daemon(log, *options) as (process, url), Camera(url, key=key, device=device) as camera:
@@ -282,23 +274,23 @@ def test_daemon_looks_by_itself_and_stays_off_when_switched_off(
     """Over a kill, too; and no panel was open for a self test meanwhile."""
     log, watching = tmp_path / "log", (*options, "--port", "0", "--watch", "5/s")
     with daemon(log, *watching) as (process, url), Camera(url) as camera:
-        while camera.watch().looks < 3:
+        while camera.watch.get().looks < 3:
             time.sleep(0.1)
-        assert camera.watch().activity == "looking"
+        assert camera.watch.get().activity == "looking"
         assert camera.status().captures == 0
-        assert camera.set_watch(WatchOff()).activity == "off"
-        looks = camera.watch().looks
+        assert camera.watch.set(WatchOff()).activity == "off"
+        looks = camera.watch.get().looks
         process.kill()
     with daemon(log, *watching) as (process, url), Camera(url) as camera:
-        status, found = camera.status(), camera.watch()
+        status, found = camera.status(), camera.watch.get()
         assert (status.state, status.rotation.preparation.prepared) == ("off", 0)
         assert (found.policy, found.activity, found.looks) == (WatchOff(), "off", 0)
         assert looks >= 3
         assert [past.state for past in camera.diagnostics().states] == ["off"]
         with pytest.raises(VeilcamError, match="switched off"):
             camera.classify()
-        camera.set_watch(Watching(rate_hz=5.0))
-        while camera.watch().looks < 1:
+        camera.watch.set(Watching(rate_hz=5.0))
+        while camera.watch.get().looks < 1:
             time.sleep(0.1)
         process.send_signal(signal.SIGTERM)
         assert process.wait(300) == 0

@@ -104,7 +104,7 @@ def test_folder_in_colour_is_fitted_and_served(call: Call, coloured: Path, tmp_p
         assert camera.status().bundle.embedding_shape == (3, 6, 8)
         answers = [camera.classify(include_embedding=True) for _ in files]
         for name, colour in COLOURS.items():
-            camera.hold_scene(np.full((12, 16, 3), colour, np.uint8))
+            camera.simulation.hold_scene(np.full((12, 16, 3), colour, np.uint8))
             assert camera.classify().label == name
     told = [answer.label == label for answer, label in zip(answers, labels, strict=True)]
     assert sum(told) >= len(files) - 3

@@ -102,7 +102,7 @@ def accuracy(url: str) -> float:
     right = 0
     with Camera(url) as camera:
         for image, label in zip(digits.images[:DIGITS], digits.labels, strict=False):
-            camera.hold_scene(image)
+            camera.simulation.hold_scene(image)
             right += camera.classify().label == str(label)
     return right / DIGITS
 

@@ -123,6 +123,7 @@ def events(*told: dict[str, Any]) -> httpx.Response:
             f"event: {each['kind']}\ndata: {json.dumps({'id': f'b-{n}', 'at': AT, **each})}\n\n"
             for n, each in enumerate(told)
         ),
+        headers={"Content-Type": "text/event-stream"},
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from datetime import timedelta
 
 from tests.unit.client.sealing import AT, Device
@@ -81,13 +82,13 @@ class Log:
         previous = line_digest(line_of(self.records[-1])) if self.records else NOTHING_BEFORE
         self.records.append(sign_record(self.device, len(self.records), previous, entry))
 
-    def log(self, *, limit: int = 4, after: int | None = None) -> LogRecords:
+    def list(self, *, limit: int = 4, after: int | None = None) -> LogRecords:
         left = [each for each in self.records if after is None or each.position > after]
         more = len(left) > min(limit, 4)
         found = tuple(left[: min(limit, 4)])
         return LogRecords(records=found, next=found[-1].position if more else None)
 
-    def log_head(self, *, missed: int = 0) -> LogHead:
+    def head(self, *, missed: int = 0) -> LogHead:
         return sign_head(
             self.device,
             position=self.records[-1].position,
@@ -98,5 +99,5 @@ class Log:
         )
 
     @property
-    def lines(self) -> list[bytes]:
+    def lines(self) -> builtins.list[bytes]:
         return [line_of(each) for each in self.records]

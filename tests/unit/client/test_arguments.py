@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,8 @@ from tests.unit.client.conftest import Daemon, camera_of, problem, result
 from tests.unit.client.sealing import Device, Epoch
 
 from veilcam_client import (
-    ArgumentError,
     AsyncCamera,
     Camera,
-    EverySeconds,
-    ProtocolError,
-    SealedError,
-    UnauthorizedError,
     VeilcamError,
     collect,
     fetch_log,
@@ -29,7 +26,9 @@ from veilcam_client import (
     record,
     verify_log,
 )
+from veilcam_client.errors import AccessError, ArgumentError, ProtocolError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import EverySeconds
 
 pytestmark = pytest.mark.anyio
 NO_SECONDS = ("5", True, 0, -1.0, math.nan, b"5", [5], 5j)
@@ -82,29 +81,34 @@ def test_device_is_named(tmp_path: Path) -> None:
         ("status", {}, "timeout", NO_SECONDS),
         ("capture", {}, "wait", ("5", True, -1, math.nan)),
         ("classify", {}, "include_embedding", NO_FLAGS),
-        ("start_calibration", {}, "repeats", (*NO_COUNTS, 0)),
-        ("confirm_scene", {}, "scene", ("night", None, 5)),
-        ("set_rotation", {}, "policy", ({"mode": "off"}, None, "off", EverySeconds)),
-        ("set_watch", {}, "policy", ({"mode": "off"}, None, EverySeconds(seconds=7))),
-        ("set_faults", {}, "faults", ({}, None, True)),
-        ("take_lease", {}, "seconds", (*NO_SECONDS, 3601, math.inf)),
-        ("take_lease", {"seconds": 5}, "owner", ("", 5, None, "\n")),
-        ("tokens", {}, "limit", (*NO_COUNTS, 0, 1001)),
-        ("tokens", {}, "after", NO_NAMES[1:]),
-        ("log", {}, "limit", (*NO_COUNTS, 0)),
-        ("log", {}, "after", NO_COUNTS[:-1]),
-        ("create_token", {"scopes": ["classify"]}, "label", ("", 5, None)),
-        ("create_token", {"label": "a"}, "scopes", ("classify", [], ["all"], None, 5)),
-        ("create_token", {"label": "a", "scopes": ["classify"]}, "seconds", ("5", 0, True, 1.5)),
-        ("revoke_token", {}, "token_id", NO_NAMES),
-        ("add_receiver", {"label": "a"}, "key", (5, None, "", "private")),
-        ("add_receiver", {"key": "veilcam-receiver:aaaa"}, "label", ("", 5)),
-        ("remove_receiver", {}, "receiver_id", NO_NAMES),
-        ("hold_scene", {}, "picture", ("a.png", Path("a.png"), 5, b"", b"abcd", {}, [[1], [1, 2]])),
-        ("install_bundle", {}, "bundle", ("a.veilcam", Path("a.veilcam"), None, 5)),
-        ("activate_bundle", {}, "digest", NO_NAMES),
-        ("activate_bundle", {"digest": "ab"}, "allow_older", NO_FLAGS),
-        ("remove_bundle", {}, "digest", NO_NAMES),
+        ("calibration.start", {}, "repeats", (*NO_COUNTS, 0)),
+        ("calibration.confirm", {}, "scene", ("night", None, 5)),
+        ("rotation.set", {}, "policy", ({"mode": "off"}, None, "off", EverySeconds)),
+        ("watch.set", {}, "policy", ({"mode": "off"}, None, EverySeconds(seconds=7))),
+        ("simulation.set_faults", {}, "faults", ({}, None, True)),
+        ("lease.take", {}, "seconds", (*NO_SECONDS, 3601, math.inf)),
+        ("lease.take", {"seconds": 5}, "owner", ("", 5, None, "\n")),
+        ("tokens.list", {}, "limit", (*NO_COUNTS, 0, 1001)),
+        ("tokens.list", {}, "after", NO_NAMES[1:]),
+        ("log.list", {}, "limit", (*NO_COUNTS, 0)),
+        ("log.list", {}, "after", NO_COUNTS[:-1]),
+        ("tokens.create", {"scopes": ["classify"]}, "label", ("", 5, None)),
+        ("tokens.create", {"label": "a"}, "scopes", ("classify", [], ["all"], None, 5)),
+        ("tokens.create", {"label": "a", "scopes": ["classify"]}, "seconds", ("5", 0, True, 1.5)),
+        ("tokens.revoke", {}, "token_id", NO_NAMES),
+        ("receivers.add", {"label": "a"}, "key", (5, None, "", "private")),
+        ("receivers.add", {"key": "veilcam-receiver:aaaa"}, "label", ("", 5)),
+        ("receivers.remove", {}, "receiver_id", NO_NAMES),
+        (
+            "simulation.hold_scene",
+            {},
+            "picture",
+            ("a.png", Path("a.png"), 5, b"", b"abcd", {}, [[1], [1, 2]]),
+        ),
+        ("bundles.install", {}, "bundle", ("a.veilcam", Path("a.veilcam"), None, 5)),
+        ("bundles.activate", {}, "digest", NO_NAMES),
+        ("bundles.activate", {"digest": "ab"}, "allow_older", NO_FLAGS),
+        ("bundles.remove", {}, "digest", NO_NAMES),
         ("events", {}, "last_event_id", (5, b"b-1", "b\n1", "b-\xe9")),
         ("events", {}, "reconnect", NO_FLAGS),
         ("discover", {}, "seconds", (*NO_SECONDS, 601)),
@@ -121,7 +125,7 @@ async def test_argument_of_a_method_is_named(  # noqa: PLR0917 - a table
     camera = camera_of(kind, daemon)
     for value in values:
         with pytest.raises(ArgumentError, match=rf"\b{name}\b") as caught:
-            await result(getattr(camera, method)(**given, **{name: value}))
+            await result(attrgetter(method)(camera)(**given, **{name: value}))
         assert caught.value.code == "invalid_argument"
         assert "\n" not in str(caught.value)
     assert not daemon.requests
@@ -130,7 +134,7 @@ async def test_argument_of_a_method_is_named(  # noqa: PLR0917 - a table
 def test_numbers_of_numpy_are_numbers(daemon: Daemon) -> None:
     camera = camera_of(Camera, daemon, timeout=np.float32(5), max_retries=np.int64(1))
     assert camera.status(timeout=np.int32(5)).state == "ready"
-    assert camera.hold_scene(np.zeros((2, 2), np.uint8)).scene == 1
+    assert camera.simulation.hold_scene(np.zeros((2, 2), np.uint8)).scene == 1
 
 
 async def test_time_without_an_end_is_a_time(daemon: Daemon, url: str, kind: type) -> None:
@@ -142,7 +146,7 @@ async def test_time_without_an_end_is_a_time(daemon: Daemon, url: str, kind: typ
 
 def test_key_of_a_receiver_is_not_repeated(daemon: Daemon) -> None:
     with pytest.raises(ArgumentError, match="key is not valid") as caught:
-        camera_of(Camera, daemon).add_receiver("a", "veilcam-receiver-private-key:c2VjcmV0")
+        camera_of(Camera, daemon).receivers.add("a", "veilcam-receiver-private-key:c2VjcmV0")
     assert "c2VjcmV0" not in str(caught.value)
 
 
@@ -153,7 +157,7 @@ async def test_camera_that_is_closed_says_so(daemon: Daemon, url: str, kind: typ
         await result(camera.close())
         events = camera.events()
         step = events.__next__ if kind is Camera else events.__anext__
-        for ask in (camera.status, camera.with_raw_response.status, step):
+        for ask in (camera.status, partial(camera.raw, camera.status), step):
             with pytest.raises(ArgumentError, match="the camera is closed"):
                 await result(ask())
 
@@ -201,7 +205,7 @@ def test_sealed_embedding_says_what_opens_it() -> None:
 
 async def test_missing_token_is_named(daemon: Daemon, kind: type) -> None:
     refused: list[tuple[httpx.Response, type[VeilcamError]]] = [
-        (problem(401, "unauthorized"), UnauthorizedError),
+        (problem(401, "unauthorized"), AccessError),
         (httpx.Response(401, text="of a proxy"), ProtocolError),
     ]
     for answer, error in refused:

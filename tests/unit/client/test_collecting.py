@@ -14,8 +14,9 @@ import pytest
 from tests.unit.client.recordings import Daemon, answer
 from tests.unit.client.sealing import BUNDLE, NOTES, VALUES, Device, Epoch
 
-from veilcam_client import DeviceError, RecordingError, SealedError, Shot, collect, held_before
+from veilcam_client import Shot, collect, held_before
 from veilcam_client.collecting import labelled_pictures
+from veilcam_client.errors import DeviceError, FileError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.measurements import Measured, MeasurementsHeader
 from veilcam_client.wire.simulation import HeldScene
@@ -139,16 +140,16 @@ def test_form_that_no_classifier_can_be_adapted_with_is_refused_first(
 ) -> None:
     made = daemon(release=release)
     made.status["bundle"] = {**made.status["bundle"], "mode": mode}
-    with pytest.raises(RecordingError, match=why):
+    with pytest.raises(FileError, match=why):
         collect(made.camera(), path, SHOTS)
     assert made.taken == 0
     assert not path.exists()
 
 
 def test_replay_unknown_label_and_another_camera_are_refused(path: Path) -> None:
-    with pytest.raises(RecordingError, match="replays a recording"):
+    with pytest.raises(FileError, match="replays a recording"):
         collect(daemon(state="replay").camera(), path, SHOTS)
-    with pytest.raises(RecordingError, match="'cat' is no label of the camera's bundle: use one"):
+    with pytest.raises(FileError, match="'cat' is no label of the camera's bundle: use one"):
         collect(daemon().camera(), path, [Shot("cat")])
     receiver, _, made = sealing(1, "pairs")
     with pytest.raises(SealedError, match="check the camera"):
@@ -162,7 +163,7 @@ def test_file_of_another_camera_or_bundle_is_not_gone_on_with(path: Path, other:
     made = daemon()
     name = {"device": "key", "bundle": "digest"}[other]
     made.status[other] = {**made.status[other], name: "ab" * 32}
-    with pytest.raises(RecordingError, match="another camera, or with another bundle"):
+    with pytest.raises(FileError, match="another camera, or with another bundle"):
         collect(made.camera(), path, SHOTS)
     assert path.read_bytes() == before
 
@@ -173,12 +174,12 @@ def test_bundle_that_changes_on_the_way_is_noticed(path: Path) -> None:
     def change(_: Shot) -> None:
         made.status["bundle"] = {**made.status["bundle"], "digest": "ab" * 32}
 
-    with pytest.raises(RecordingError, match="another bundle now"):
+    with pytest.raises(FileError, match="another bundle now"):
         collect(made.camera(), path, SHOTS, advance=change)
     assert len(lines(path)[1]) == 1
     receiver, _, sealed = sealing(1, "pairs")
     sealed.status["bundle"] = {**sealed.status["bundle"], "digest": "ab" * 32}
-    with pytest.raises(RecordingError, match="another bundle now"):
+    with pytest.raises(FileError, match="another bundle now"):
         collect(sealed.camera(), path.with_name("other"), SHOTS, key=receiver)
 
 
@@ -190,7 +191,7 @@ def test_scene_that_another_caller_held_up_is_not_labelled(path: Path) -> None:
 
     assert NOTES.scene == 3
     assert collect(made.camera(), path, SHOTS[:1], key=receiver, show=shows(3)) == 1
-    with pytest.raises(RecordingError, match="another caller held up another scene"):
+    with pytest.raises(FileError, match="another caller held up another scene"):
         collect(made.camera(), path, SHOTS[1:], key=receiver, show=shows(4))
 
 
@@ -202,18 +203,18 @@ def test_file_of_something_else_is_left_alone(path: Path) -> None:
         (header + b'{"label": "0"}\n', "line 2: this is no measurement"),
     ):
         path.write_bytes(content)
-        with pytest.raises(RecordingError, match=why):
+        with pytest.raises(FileError, match=why):
             collect(daemon().camera(), path, SHOTS)
         assert path.read_bytes() == content
 
 
 def test_two_collections_do_not_write_one_file(path: Path, tmp_path: Path) -> None:
     def second(_: Shot) -> None:
-        with pytest.raises(RecordingError, match="another collection"):
+        with pytest.raises(FileError, match="another collection"):
             collect(daemon().camera(), path, SHOTS)
 
     assert collect(daemon().camera(), path, SHOTS[:1], advance=second) == 1
-    with pytest.raises(RecordingError, match="cannot be written"):
+    with pytest.raises(FileError, match="cannot be written"):
         collect(daemon().camera(), tmp_path / "no" / "such", SHOTS)
 
 
@@ -225,9 +226,9 @@ def test_pictures_come_one_of_each_label_after_the_other(tmp_path: Path) -> None
     assert [each.name for each in found] == ["a/deep/1.jpg", "b/1.png", "b/2.PNG", "b/3.jpeg"]
     assert [each.label for each in found] == ["a", "b", "b", "b"]
     assert labelled_pictures(tmp_path, per_class=1) == found[:2]
-    with pytest.raises(RecordingError, match="holds no pictures"):
+    with pytest.raises(FileError, match="holds no pictures"):
         labelled_pictures(tmp_path / "a" / "deep")
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(FileError, match="cannot be read"):
         labelled_pictures(tmp_path / "none")
 
 
@@ -248,7 +249,7 @@ def test_picture_is_held_up_while_it_is_measured_alone(tmp_path: Path) -> None:
         raise ZeroDivisionError
     assert Holder.held[-1] is None
     picture.unlink()
-    with pytest.raises(RecordingError, match="cannot be read"), show(Shot("a", picture)):
+    with pytest.raises(FileError, match="cannot be read"), show(Shot("a", picture)):
         pass
     with pytest.raises(ValueError, match="use unaided"), show(Shot("a")):
         pass

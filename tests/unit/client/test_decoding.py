@@ -10,7 +10,8 @@ import pytest
 import torch
 from tests.unit.client.sealing import Device, Epoch
 
-from veilcam_client import KeyFileError, SceneDecoder, SealedError, VeilcamError
+from veilcam_client import SceneDecoder, VeilcamError
+from veilcam_client.errors import FileError, SealedError
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Classification
@@ -118,7 +119,7 @@ def test_frame_of_another_camera_is_refused(
     assert refused.value.code == "decoding_failed"
     with pytest.raises(VeilcamError, match="check the path"):
         SceneDecoder(tmp_path / "missing", receiver)
-    with pytest.raises(KeyFileError, match="cannot be read"):
+    with pytest.raises(FileError, match="cannot be read"):
         SceneDecoder(tmp_path / "frame", tmp_path / "missing")
 
 

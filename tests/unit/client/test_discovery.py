@@ -10,7 +10,7 @@ import pytest
 import zeroconf
 from typer.testing import CliRunner
 
-from veilcam_client import Camera, DiscoveryError, FoundCamera
+from veilcam_client import Camera, FoundCamera, VeilcamError
 from veilcam_client.cli.main import app
 from veilcam_client.discovery import TYPE, _camera, discover
 
@@ -61,10 +61,10 @@ def test_announcement_of_no_camera_is_left_out(announcement: zeroconf.ServiceInf
 
 def test_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)
-    with pytest.raises(DiscoveryError, match="discover"):
+    with pytest.raises(VeilcamError, match="discover"):
         Camera.discover()
     result = runner.invoke(app, ["discover"])
-    assert result.exit_code == 18
+    assert result.exit_code == 1
     assert "pip install -e '.[discover]'" in result.stderr
 
 

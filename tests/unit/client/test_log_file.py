@@ -9,7 +9,8 @@ import pytest
 from tests.unit.client.logs import LIFE, Log, answer, capture
 from tests.unit.client.sealing import NOTES, Device
 
-from veilcam_client import LogFileError, fetch_log, verify_log
+from veilcam_client import fetch_log, verify_log
+from veilcam_client.errors import FileError
 from veilcam_client.keys.capture_log import is_genuine
 from veilcam_client.wire.log import LogGap
 
@@ -44,7 +45,7 @@ def test_log_that_does_not_go_on_there_is_refused(path: Path) -> None:
     dropped = Log(device, (*LIFE, capture(9), capture(10)))
     del dropped.records[:11]
     for log in (shorter, another, longer, dropped):
-        with pytest.raises(LogFileError, match=r"does not go on where .*captures.jsonl ends"):
+        with pytest.raises(FileError, match=r"does not go on where .*captures.jsonl ends"):
             fetch_log(log, path)
         assert path.read_bytes() == held
 
@@ -54,9 +55,9 @@ def test_log_that_grows_meanwhile_is_no_departure(path: Path) -> None:
     fetch_log(log, path)
 
     class Growing(Log):
-        def log_head(self, *, missed: int = 0) -> Any:
+        def head(self, *, missed: int = 0) -> Any:
             self.append(capture(9))
-            return super().log_head()
+            return super().head()
 
     log.__class__ = Growing
     assert fetch_log(log, path)[0] == 0
@@ -68,7 +69,7 @@ LOG = Log(Device())
 @pytest.mark.parametrize("held", [b"x\n", b"{}", b"\n".join(LOG.lines)])
 def test_file_that_does_not_end_with_a_record_is_left_alone(path: Path, held: bytes) -> None:
     path.write_bytes(held)
-    with pytest.raises(LogFileError, match="does not end with a record"):
+    with pytest.raises(FileError, match="does not end with a record"):
         fetch_log(LOG, path)
     assert path.read_bytes() == held
     path.write_bytes(b"")
@@ -76,17 +77,17 @@ def test_file_that_does_not_end_with_a_record_is_left_alone(path: Path, held: by
 
 
 def test_files_that_cannot_be_used_are_named(path: Path, tmp_path: Path) -> None:
-    with pytest.raises(LogFileError, match="nowhere/log cannot be written"):
+    with pytest.raises(FileError, match="nowhere/log cannot be written"):
         fetch_log(Log(Device()), tmp_path / "nowhere" / "log")
-    with pytest.raises(LogFileError, match=r"captures.jsonl cannot be read"):
+    with pytest.raises(FileError, match=r"captures.jsonl cannot be read"):
         verify_log(path)
     log = Log(Device())
     fetch_log(log, path)
     other = tmp_path / "other.json"
     for why in ("cannot be read", "holds something else"):
-        with pytest.raises(LogFileError, match=rf"other\.json {why}"):
+        with pytest.raises(FileError, match=rf"other\.json {why}"):
             verify_log(path, head=other)
-        with pytest.raises(LogFileError, match=rf"other\.json {why}"):
+        with pytest.raises(FileError, match=rf"other\.json {why}"):
             verify_log(path, answer=other)
         other.write_text("{}")
     for kept, why in (
@@ -94,7 +95,7 @@ def test_files_that_cannot_be_used_are_named(path: Path, tmp_path: Path) -> None
         (answer(1).model_copy(update={"id": "c0ffee"}), "hides nothing"),
     ):
         other.write_text(kept.model_dump_json())
-        with pytest.raises(LogFileError, match=rf"other\.json: .*{why}"):
+        with pytest.raises(FileError, match=rf"other\.json: .*{why}"):
             verify_log(path, answer=other)
 
 
@@ -102,10 +103,10 @@ def test_head_and_answer_are_read_from_files(path: Path, tmp_path: Path) -> None
     log = Log(Device())
     fetch_log(log, path)
     head, kept = tmp_path / "head.json", tmp_path / "answer.json"
-    head.write_text(log.log_head().model_dump_json())
+    head.write_text(log.head().model_dump_json())
     kept.write_text(answer(2).model_dump_json())
     found = verify_log(path, head=head, answer=kept)
     assert (found.findings, found.answer) == ([], 3)
     log.append(LogGap(answers=1))
-    head.write_text(log.log_head().model_dump_json())
+    head.write_text(log.head().model_dump_json())
     assert len(verify_log(path, head=head).findings) == 1

@@ -13,8 +13,9 @@ from tests.unit.client.recordings import VERDICT, Daemon, answer
 from tests.unit.client.sealing import NOTES, VALUES, Device, Epoch
 from typer.testing import CliRunner
 
-from veilcam_client import DeviceError, RecordingError, read_recording, record
+from veilcam_client import read_recording, record
 from veilcam_client.cli.main import app
+from veilcam_client.errors import DeviceError, FileError
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.recording import MAX_BYTES
@@ -71,7 +72,7 @@ def test_sealed_capture_stays_sealed_unless_a_key_opens_it(tmp_path: Path, *, la
         assert np.array_equal(np.asarray(other.capture), VALUES)
         assert other.capture.notes == NOTES
     sealed.write_bytes(sealed.read_bytes() + opened.read_bytes().split(b"\n")[1] + b"\n")
-    with pytest.raises(RecordingError, match="line 4: this is raw, and the others are sealed"):
+    with pytest.raises(FileError, match="line 4: this is raw, and the others are sealed"):
         read_recording(sealed)
 
 
@@ -91,12 +92,12 @@ def test_failed_recording_is_whole_up_to_the_failure(path: Path) -> None:
 
 def test_recording_overwrites_nothing_and_records_no_replay(path: Path, tmp_path: Path) -> None:
     path.write_text("mine")
-    with pytest.raises(RecordingError, match="exists: give another name"):
+    with pytest.raises(FileError, match="exists: give another name"):
         record(Daemon().camera(), path, count=1)
     assert path.read_text() == "mine"
-    with pytest.raises(RecordingError, match=r"cannot be written \(No such file"):
+    with pytest.raises(FileError, match=r"cannot be written \(No such file"):
         record(Daemon().camera(), tmp_path / "no" / "such", count=1)
-    with pytest.raises(RecordingError, match="replays a recording: copy its file"):
+    with pytest.raises(FileError, match="replays a recording: copy its file"):
         record(Daemon(state="replay").camera(), tmp_path / "other", count=1)
     assert not (tmp_path / "other").exists()
 
@@ -134,26 +135,26 @@ def test_damaged_recording_is_refused(
     else:
         lines[2]["capture"].update(change)
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    with pytest.raises(RecordingError, match=message):
+    with pytest.raises(FileError, match=message):
         read_recording(path)
 
 
 def test_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path) -> None:
     record(Daemon().camera(), path, count=3)
     path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(RecordingError, match="is cut off: remove its last line"):
+    with pytest.raises(FileError, match="is cut off: remove its last line"):
         read_recording(path)
-    with pytest.raises(RecordingError, match=r"missing cannot be read \(No such file"):
+    with pytest.raises(FileError, match=r"missing cannot be read \(No such file"):
         read_recording(tmp_path / "missing")
     with path.open("wb") as stream:
         stream.truncate(MAX_BYTES + 1)  # a hole, which takes no disk
-    with pytest.raises(RecordingError, match="is larger than 256 MiB"):
+    with pytest.raises(FileError, match="is larger than 256 MiB"):
         read_recording(path)
 
 
 def test_record_command_writes_a_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = Daemon(captures=2)
-    monkeypatch.setattr("veilcam_client.cli.main.Camera", lambda *_, **__: daemon.camera())
+    monkeypatch.setattr("veilcam_client.cli.terminal.Camera", lambda *_, **__: daemon.camera())
     options = ["record", "--count", "2", "--labels", "--out", str(path)]
     result = CliRunner().invoke(app, options)
     assert result.exit_code == 0, result.output

@@ -10,7 +10,7 @@ from tests.unit.client.conftest import camera_of, result
 from tests.unit.client.recordings import Daemon
 from tests.unit.client.sealing import NOTES, VALUES, Device, Epoch
 
-from veilcam_client import KeyFileError, SealedError
+from veilcam_client.errors import FileError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
 
 pytestmark = pytest.mark.anyio
@@ -63,5 +63,5 @@ async def test_unsealed_embedding_is_refused_where_a_key_was_given(
 ) -> None:
     with pytest.raises(SealedError, match="came white where a sealed one was expected"):
         await result(camera_of(kind, Daemon(), key=receiver).capture())
-    with pytest.raises(KeyFileError, match="cannot be read"):
+    with pytest.raises(FileError, match="cannot be read"):
         kind(key=tmp_path / "missing")

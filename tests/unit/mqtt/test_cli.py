@@ -14,8 +14,7 @@ pytest.importorskip("aiomqtt", reason="the extra 'mqtt' is not installed")
 from typer.testing import CliRunner
 
 from veilcam_client import __version__
-from veilcam_mqtt.cli import app
-from veilcam_mqtt.logs import JsonFormatter
+from veilcam_mqtt.cli import JsonFormatter, app
 
 runner = CliRunner()
 
@@ -42,7 +41,7 @@ runner = CliRunner()
 def test_option_that_does_not_fit_ends_with_a_line(
     options: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("veilcam_mqtt.logs.configure", lambda _: None)
+    monkeypatch.setattr("veilcam_mqtt.cli.configure_logs", lambda *_, **__: None)
     (tmp_path / "one").write_text("word\n")
     (tmp_path / "two").write_text("word\nanother\n")
     result = runner.invoke(app, [option.replace("{tmp}", str(tmp_path)) for option in options])
@@ -58,11 +57,14 @@ def test_version_is_that_of_the_package() -> None:
 
 def test_every_option_stands_in_the_environment_too() -> None:
     text = runner.invoke(app, ["--help"], env={"COLUMNS": "300"}).stdout
-    options = set(re.findall(r"--[a-z][a-z-]+", text)) - {"--version", "--help"}
+    options = set(re.findall(r"^  (--[a-z][a-z-]+)", text, re.MULTILINE))
     named = {
         f"--{name.lower().replace('_', '-')}" for name in re.findall(r"VEILCAM_MQTT_(\w+)", text)
     }
-    assert options - named <= {"--url", "--token-file", "--install-completion", "--show-completion"}
+    assert options - named <= {
+        *("--url", "--profile", "--token-file", "--json", "--version", "--help"),
+        *("--install-completion", "--show-completion"),
+    }
     assert "VEILCAM_TOKEN_FILE" in text
 
 

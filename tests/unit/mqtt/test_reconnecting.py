@@ -13,7 +13,7 @@ from veilcam_client import AsyncCamera
 
 pytest.importorskip("aiomqtt", reason="the extra 'mqtt' is not installed")
 
-from veilcam_mqtt import follower, publisher
+from veilcam_mqtt import settings
 from veilcam_mqtt.follower import Follower
 from veilcam_mqtt.publisher import Publisher
 from veilcam_mqtt.settings import Broker, Names
@@ -32,7 +32,7 @@ def anyio_backend() -> str:
 async def test_camera_whose_streams_end_at_once_is_followed_at_growing_pauses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(follower, "PAUSES", GROWN)
+    monkeypatch.setattr(settings, "PAUSES", GROWN)
     told, streams = asyncio.Event(), 0
 
     async def daemon(request: httpx.Request) -> httpx.Response:
@@ -43,7 +43,7 @@ async def test_camera_whose_streams_end_at_once_is_followed_at_growing_pauses(
         await told.wait()
         told.clear()
         streams += 1
-        return httpx.Response(200, text="")
+        return httpx.Response(200, headers={"Content-Type": "text/event-stream"})
 
     client = httpx.AsyncClient(transport=httpx.MockTransport(daemon))
     camera = AsyncCamera("http://localhost", http_client=client, max_retries=0)
@@ -55,7 +55,7 @@ async def test_camera_whose_streams_end_at_once_is_followed_at_growing_pauses(
 async def test_broker_that_ends_every_connection_is_reached_at_growing_pauses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(publisher, "PAUSES", GROWN)
+    monkeypatch.setattr(settings, "PAUSES", GROWN)
     connections = 0
 
     async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

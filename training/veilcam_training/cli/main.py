@@ -2,6 +2,7 @@
 
 import sys
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -51,12 +52,25 @@ from veilcam_training.experiments.keyring import fit_keyring
 from veilcam_training.files import check_file, check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 
-app = typer.Typer(
-    help="Train lensless cameras: mask and classifier together.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 console = Console()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"veilcam-train {version('veilcam')}")
+        raise typer.Exit
+
+
+@app.callback()
+def veilcam_train(
+    *,
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Train lensless cameras: mask and classifier together."""
 
 
 WorkerCount = Annotated[

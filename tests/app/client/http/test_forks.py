@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 from tests.unit.client.conftest import STATUS, Daemon, Handler, camera_of, result, serving
 
-from veilcam_client import ArgumentError, AsyncCamera, Camera
+from veilcam_client import AsyncCamera, Camera
+from veilcam_client.errors import ArgumentError
 from veilcam_client.wire.base import CALL_HEADER
 
 # From Python 3.12 on, a fork beside a thread is warned of: here that is the case to be tried.
@@ -137,7 +138,7 @@ def test_forked_camera_needs_no_lock_of_the_parent(heard: Heard) -> None:
 
         def waits() -> None:
             with pytest.raises(Exception, match="Rotation"):
-                camera.rotation()  # answered with another model, in the end
+                camera.rotation.get()  # answered with another model, in the end
 
         asking = threading.Thread(target=waits)
         asking.start()

@@ -11,6 +11,7 @@ from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from tests.docs.api_reference import PAGE, page
 
 from veilcam_client import Camera
+from veilcam_client.resources import Resource
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api.app import create_app
@@ -93,16 +94,24 @@ def test_request_examples_are_served(found: dict[str, Any]) -> None:
     assert set(asked["examples"]) == {"RotationOff", "EverySeconds", "EveryCaptures"}
 
 
-def test_operations_are_called_as_the_sdk_calls_them(found: dict[str, Any]) -> None:
+def test_every_method_of_the_sdk_is_shown_with_its_operation(found: dict[str, Any]) -> None:
     ids = [operation["operationId"] for _, operation in operations(found)]
     assert len(set(ids)) == len(ids)
-    asked = {name for name in vars(Camera) if not name.startswith("_")}
-    # What is no request of its own, or one of two ways to ask the same.
-    assert asked - set(ids) == {"close", "discover", "with_raw_response", "lease", "break_lease"}
-    assert set(ids) - asked == {
-        *("page", "docs", "page_file", "healthz", "readyz", "metrics", "openapi", "doctor"),
-        *("session", "begin_session", "end_session", "take_scene_away"),
+    shown = {
+        each["source"].partition("(")[0] if "next(" not in each["source"] else "camera.events"
+        for _, operation in operations(found)
+        for each in operation["x-codeSamples"]
+        if each["lang"] == "Python" and "camera." in each["source"]
     }
+    camera = Camera("http://localhost")
+    methods = {f"camera.{name}" for name in vars(Camera) if not name.startswith("_")}
+    for name, each in vars(camera).items():
+        if isinstance(each, Resource):
+            methods |= {f"camera.{name}.{one}" for one in vars(type(each)) if one[0] != "_"}
+    # What is no request of its own, or one of two ways to ask the same.
+    other = ("close", "discover", "raw", "lease.hold", "lease.revoke")
+    assert methods - shown == {f"camera.{name}" for name in other}
+    assert shown <= methods
 
 
 def test_page_of_operations_is_that_of_the_document(found: dict[str, Any]) -> None:

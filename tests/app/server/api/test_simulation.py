@@ -15,20 +15,18 @@ from PIL import Image
 from pydantic import ValidationError
 from tests.app.server.conftest import asking
 
-from veilcam_client import (
-    AsyncCamera,
-    DeviceError,
+from veilcam_client import AsyncCamera
+from veilcam_client.errors import ApiError, DeviceError, LeasedError
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import (
     EveryCaptures,
     EverySeconds,
     Faults,
-    LeasedError,
     LightFaults,
     PanelFaults,
     RotationOff,
     SensorFaults,
 )
-from veilcam_client.errors import ApiError
-from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.status import Status
 from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
@@ -92,16 +90,16 @@ async def test_scene_held_up_is_what_captures_see(given: dict[str, Any]) -> None
     async with camera(given) as sdk:
         first = await sdk.capture()
         assert seen_in(first) == 0
-        assert (await sdk.hold_scene(np.full((28, 28), 9, np.uint8))).scene == 1
+        assert (await sdk.simulation.hold_scene(np.full((28, 28), 9, np.uint8))).scene == 1
         dim = await sdk.capture()
         assert seen_in(dim) == 1
         assert np.asarray(dim).mean() < 0.1 * np.asarray(first).mean()
-        assert (await sdk.hold_scene(png(255))).scene == 2
+        assert (await sdk.simulation.hold_scene(png(255))).scene == 2
         label = await sdk.classify(include_embedding=True)
         assert seen_in(label) == 2
         # White, but half as wide as the scene.
         assert np.asarray(label.embedding).mean() > 0.5 * np.asarray(first).mean()
-        assert (await sdk.hold_scene(None)).scene == 0
+        assert (await sdk.simulation.hold_scene(None)).scene == 0
         again = await sdk.capture()
         assert seen_in(again) == 0
         assert np.asarray(again) == pytest.approx(np.asarray(first))
@@ -113,7 +111,7 @@ async def test_capture_under_way_sees_to_its_end_what_it_began_with(given: dict[
         before = np.asarray(await sdk.capture())
         under_way = asyncio.create_task(sdk.capture())
         await asyncio.sleep(EXPOSURE / 2)
-        held = await sdk.hold_scene(np.full((28, 28), 9 / 255))
+        held = await sdk.simulation.hold_scene(np.full((28, 28), 9 / 255))
         old, new = await under_way, await sdk.capture()
     assert (seen_in(old), held.scene, seen_in(new)) == (0, 1, 1)
     assert np.asarray(old) == pytest.approx(before)
@@ -147,12 +145,12 @@ async def test_scene_that_is_no_picture_changes_nothing(
 
 @pytest.mark.slow
 async def test_lease_holder_decides_what_the_camera_sees(given: dict[str, Any]) -> None:
-    async with camera(given) as sdk, sdk.lease(seconds=30):
+    async with camera(given) as sdk, sdk.lease.hold(seconds=30):
         other = AsyncCamera("http://localhost", http_client=sdk._transport.client, max_retries=0)
         async with other:
             with pytest.raises(LeasedError):
-                await other.hold_scene(png(0))
-        assert (await sdk.hold_scene(png(0))).scene == 1
+                await other.simulation.hold_scene(png(0))
+        assert (await sdk.simulation.hold_scene(png(0))).scene == 1
 
 
 def test_real_camera_takes_no_scenes() -> None:
@@ -168,14 +166,14 @@ async def test_nothing_is_answered_behind_a_panel_that_does_not_hide(
     faults = PanelFaults.model_validate({fault: True})
     async with camera({**given, "rotation": EveryCaptures(captures=1)}) as sdk:
         good = await sdk.capture()
-        await sdk.set_faults(Faults(panel=faults))
+        await sdk.simulation.set_faults(Faults(panel=faults))
         with pytest.raises(ApiError) as caught:
             await sdk.capture()
         assert caught.value.code == "panel_not_hiding"
         assert good.epoch in str(caught.value)
         # A reset wakes a panel up that fell asleep, and mends no other.
         if not faults.asleep:
-            await sdk.set_faults(Faults())
+            await sdk.simulation.set_faults(Faults())
         await reached(sdk, "ready")
         assert (await sdk.capture()).epoch != good.epoch
 
@@ -184,7 +182,7 @@ async def test_nothing_is_answered_behind_a_panel_that_does_not_hide(
 async def test_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> None:
     async with camera({**given, "rotation": EveryCaptures(captures=1)}) as sdk:
         await sdk.capture()
-        await sdk.set_faults(Faults(light=LightFaults(lamp=0)))
+        await sdk.simulation.set_faults(Faults(light=LightFaults(lamp=0)))
         with pytest.raises(ApiError) as caught:
             await sdk.capture()
         assert caught.value.code == "light_unsteady"
@@ -201,7 +199,7 @@ async def test_sensor_that_fails_is_an_error_and_then_a_state(
     faults = SensorFaults.model_validate({fault: True})
     async with camera({**given, "capture_timeout": 0.05}) as sdk:
         await sdk.capture()
-        await sdk.set_faults(Faults(sensor=faults))
+        await sdk.simulation.set_faults(Faults(sensor=faults))
         with pytest.raises(DeviceError) as caught:
             await sdk.capture()
         assert caught.value.code == ("sensor_failed" if faults.stuck else "sensor_timeout")
@@ -216,7 +214,7 @@ async def test_sensor_that_fails_is_an_error_and_then_a_state(
         with pytest.raises(DeviceError) as caught:
             await sdk.capture()
         assert caught.value.code == "not_ready"
-        await sdk.set_faults(Faults())
+        await sdk.simulation.set_faults(Faults())
         await reached(sdk, "ready")
         await sdk.capture()
 
@@ -233,7 +231,7 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
             (Faults(sensor=SensorFaults(gone=True)), "degraded"),
             (Faults(panel=PanelFaults(gone=True), sensor=SensorFaults(gone=True)), "safe"),
         ):
-            await sdk.set_faults(faults)
+            await sdk.simulation.set_faults(faults)
             await reached(sdk, state)
             await asyncio.sleep(1.5)  # it is tried again meanwhile, in vain
             status = await sdk.status()
@@ -243,7 +241,7 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
             with pytest.raises(DeviceError) as caught:
                 await sdk.capture()
             assert caught.value.code == "not_ready"
-            await sdk.set_faults(Faults())
+            await sdk.simulation.set_faults(Faults())
             status = await reached(sdk, "ready")
             assert status.remedy is None
             captured = await sdk.capture()
@@ -256,9 +254,9 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
 async def test_scene_api_has_to_be_allowed(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:
         for asked in (
-            sdk.hold_scene(png(0)),
-            sdk.hold_scene(None),
-            sdk.set_faults(Faults(panel=PanelFaults(dead=True))),
+            sdk.simulation.hold_scene(png(0)),
+            sdk.simulation.hold_scene(None),
+            sdk.simulation.set_faults(Faults(panel=PanelFaults(dead=True))),
         ):
             with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
                 await asked

@@ -67,7 +67,7 @@ def accuracy(camera: Camera, captures: int) -> float:
     right = 0
     for number in range(captures):
         label = number % CLASSES
-        camera.hold_scene(scenes()[label])
+        camera.simulation.hold_scene(scenes()[label])
         right += camera.classify().label == str(label)
     return right / captures
 
@@ -89,12 +89,12 @@ def test_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
         result = CliRunner().invoke(client, ["calibrate", "--repeats", "1", "--url", url])
         assert result.exit_code == 0, result.output
         after = accuracy(camera, CLASSES)
-        signed = camera.calibration().signed
+        signed = camera.calibration.get().signed
     assert signed is not None
     assert signed.record.shift_y_m.value == pytest.approx(BUILT["shift_y"], abs=3e-6)
     assert signed.record.dead_rows == (4,)
     with running(bundle, scene, tmp_path, *options) as url, Camera(url) as camera:
-        assert camera.calibration().signed == signed
+        assert camera.calibration.get().signed == signed
         again = accuracy(camera, CLASSES)
     # Over many masks, of the whole sensor: 0.24 before, 1.0 afterwards.
     assert before < 0.7

@@ -14,7 +14,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from tests.app.server.test_daemon import daemon
 
-from veilcam_client import Camera, ConnectError, ForbiddenError, UnauthorizedError
+from veilcam_client import Camera
+from veilcam_client.errors import AccessError, ConnectError
 from veilcam_server.errors import StartError
 from veilcam_server.security.tls import server_context
 from veilcam_server.security.tokens import TokenStore
@@ -89,10 +90,10 @@ def test_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_pat
         url = shown.replace("0.0.0.0", "127.0.0.1")
         with Camera(url, token=token.secret, ca_file=certificate) as camera:
             assert camera.status().state == "ready"
-            with pytest.raises(ForbiddenError, match="the scope classify"):
+            with pytest.raises(AccessError, match="the scope classify"):
                 camera.classify()
             store.revoke(token.id)
-            with pytest.raises(UnauthorizedError):
+            with pytest.raises(AccessError):
                 camera.status()
         with pytest.raises(ConnectError), Camera(url, max_retries=0) as stranger:
             stranger.status()

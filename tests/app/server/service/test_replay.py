@@ -17,10 +17,11 @@ from tests.unit.client.sealing import NOTES, VALUES
 from tests.unit.client.sealing import Device as SealingDevice
 from tests.unit.client.sealing import Epoch as SealedEpoch
 
-from veilcam_client import AsyncCamera, Capture, Classification, EveryCaptures, RotationOff
+from veilcam_client import AsyncCamera
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.errors import ApiError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import Capture, Classification, EveryCaptures, RotationOff
 from veilcam_client.recording import record
 from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
@@ -119,16 +120,16 @@ async def test_status_never_says_ready(path: Path) -> None:
 async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
     async with camera(path) as sdk:
         for asked in (
-            *(sdk.rotate(), sdk.set_rotation(EveryCaptures(captures=1))),
-            *(sdk.watch(), sdk.set_watch(WatchOff()), sdk.bundles(), sdk.receivers()),
-            sdk.add_receiver("a", ReceiverKey.generate().public),
-            *(sdk.remove_receiver("0f" * 32), sdk.install_bundle(b"bundle")),
-            *(sdk.activate_bundle("0f" * 32), sdk.remove_bundle("0f" * 32)),
+            *(sdk.rotation.advance(), sdk.rotation.set(EveryCaptures(captures=1))),
+            *(sdk.watch.get(), sdk.watch.set(WatchOff()), sdk.bundles.list(), sdk.receivers.list()),
+            sdk.receivers.add("a", ReceiverKey.generate().public),
+            *(sdk.receivers.remove("0f" * 32), sdk.bundles.install(b"bundle")),
+            *(sdk.bundles.activate("0f" * 32), sdk.bundles.remove("0f" * 32)),
         ):
             assert await code(asked) == "replaying"
-        assert await code(sdk.start_calibration()) == "calibration_impossible"
-        assert await code(sdk.hold_scene(None)) == "scene_api_off"
-        assert (await sdk.rotation()).epoch is None
+        assert await code(sdk.calibration.start()) == "calibration_impossible"
+        assert await code(sdk.simulation.hold_scene(None)) == "scene_api_off"
+        assert (await sdk.rotation.get()).epoch is None
         assert (await sdk.status()).captures == 0
         assert not (await sdk.diagnostics()).faults
         # What was refused took nothing out of the recording.

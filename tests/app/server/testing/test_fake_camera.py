@@ -13,16 +13,9 @@ import numpy as np
 import pytest
 import structlog
 
-from veilcam_client import (
-    DeviceError,
-    Faults,
-    ForbiddenError,
-    LeasedError,
-    MaskChanged,
-    RequestTimeoutError,
-    SensorFaults,
-    UnauthorizedError,
-)
+from veilcam_client.errors import AccessError, DeviceError, LeasedError, RequestTimeoutError
+from veilcam_client.events import MaskChanged
+from veilcam_client.models import Faults, SensorFaults
 from veilcam_server.demo_data import load_digits
 from veilcam_server.testing import FakeCamera
 
@@ -47,10 +40,10 @@ def test_fake_camera_prints_nothing_and_logs_as_the_program_says(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     with FakeCamera() as own, own.camera() as camera:
-        camera.rotate()
+        camera.rotation.advance()
         assert not caplog.records
         caplog.set_level(logging.INFO, "veilcam_server")
-        camera.set_faults(Faults(sensor=SensorFaults(gone=True)))
+        camera.simulation.set_faults(Faults(sensor=SensorFaults(gone=True)))
         with pytest.raises(DeviceError):
             camera.classify()
         assert structlog.is_configured()
@@ -65,23 +58,23 @@ def test_fake_camera_sees_the_scene_held_up(fake: FakeCamera) -> None:
     with fake.camera() as camera:
         found = []
         for index in range(5):
-            camera.hold_scene(digits.images[index])
+            camera.simulation.hold_scene(digits.images[index])
             found.append(camera.classify().label)
         assert found == [str(label) for label in digits.labels[:5]]
         capture = camera.capture()
         assert np.asarray(capture).shape == camera.status().bundle.embedding_shape
-        assert camera.with_raw_response.status().request_id
+        assert camera.raw(camera.status).request_id
 
 
 async def ask(fake: FakeCamera) -> tuple[str, list[str | None]]:
     async with fake.async_camera() as camera, fake.async_camera() as other:
-        await camera.hold_scene(load_digits().images[0])
+        await camera.simulation.hold_scene(load_digits().images[0])
         label = (await camera.classify()).label
         async with camera.events() as events:
             heard = asyncio.create_task(anext(events))
             epochs: list[str | None] = []
             while not heard.done():
-                epochs.append((await other.rotate()).epoch)
+                epochs.append((await other.rotation.advance()).epoch)
             event = heard.result()
         assert isinstance(event, MaskChanged)
         return label, [event.epoch, *epochs]
@@ -96,7 +89,7 @@ def test_fake_camera_is_there_for_asyncio_too(fake: FakeCamera) -> None:
 def test_events_come_while_they_happen(fake: FakeCamera) -> None:
     with fake.camera() as camera, camera.events(last_event_id="") as events:
         first = next(events)
-        epoch = camera.rotate().epoch
+        epoch = camera.rotation.advance().epoch
         assert first.kind == "gap"
         assert any(getattr(event, "epoch", None) == epoch for event in events)
 
@@ -105,7 +98,7 @@ def test_stream_is_closed_from_another_thread(fake: FakeCamera) -> None:
     with fake.camera() as camera, fake.camera() as other:
         stream = camera.events(last_event_id="")
         next(stream)
-        rotating = threading.Timer(0.05, other.rotate)
+        rotating = threading.Timer(0.05, other.rotation.advance)
         rotating.start()
         stream.close()
         assert list(stream) == []
@@ -114,7 +107,7 @@ def test_stream_is_closed_from_another_thread(fake: FakeCamera) -> None:
 
 def test_faults_are_those_of_a_camera_and_are_mended(fake: FakeCamera) -> None:
     with fake.camera(max_retries=0) as camera:
-        camera.set_faults(Faults(sensor=SensorFaults(gone=True)))
+        camera.simulation.set_faults(Faults(sensor=SensorFaults(gone=True)))
         with pytest.raises(DeviceError):
             camera.capture()
     fake.put_back()
@@ -124,7 +117,7 @@ def test_faults_are_those_of_a_camera_and_are_mended(fake: FakeCamera) -> None:
 
 def test_two_callers_are_two(fake: FakeCamera) -> None:
     with fake.camera() as one, fake.camera() as other:
-        one.take_lease(seconds=60)
+        one.lease.take(seconds=60)
         with pytest.raises(LeasedError):
             other.capture()
         fake.put_back()
@@ -146,12 +139,12 @@ def test_tokens_are_wanted_where_they_are_asked_for(
     with pytest.raises(ValueError, match="within its context"):
         fake.camera()
     with fake:
-        with fake.camera() as camera, pytest.raises(UnauthorizedError):
+        with fake.camera() as camera, pytest.raises(AccessError):
             camera.status()
         with fake.camera(token=fake.token(["read:status"])) as camera:
             assert camera.status().device.simulated
-            with pytest.raises(ForbiddenError):
-                camera.rotate()
+            with pytest.raises(AccessError):
+                camera.rotation.advance()
     assert (tmp_path / "state").is_dir()
 
 
@@ -173,18 +166,18 @@ def test_unknown_setting_is_refused() -> None:
 
 PROGRAM = """
 import numpy as np
-from veilcam_client import Faults, PanelFaults
+from veilcam_client.models import Faults, PanelFaults
 
 def test_one(fake_camera):
     with fake_camera.camera() as camera:
-        camera.hold_scene(np.zeros((28, 28), np.uint8))
-        camera.take_lease(seconds=60)
-        camera.set_faults(Faults(panel=PanelFaults(dead=True)))
+        camera.simulation.hold_scene(np.zeros((28, 28), np.uint8))
+        camera.lease.take(seconds=60)
+        camera.simulation.set_faults(Faults(panel=PanelFaults(dead=True)))
 
 def test_other(fake_camera):
     with fake_camera.camera() as camera:
-        assert not camera.lease_state().held
-        camera.rotate()
+        assert not camera.lease.get().held
+        camera.rotation.advance()
         assert camera.classify().label
 """
 

@@ -170,14 +170,14 @@ def test_captures_sealed_by_a_daemon_are_read_here_as_there(tmp_path: Path, mode
     receiver, digits, path = ReceiverKey.generate(), load_digits(), tmp_path / "m.jsonl"
     heard: list[str] = []
     with FakeCamera({"bundle": served}) as fake, fake.camera() as camera:
-        camera.add_receiver("training", str(receiver.public))
-        camera.rotate()
+        camera.receivers.add("training", str(receiver.public))
+        camera.rotation.advance()
 
         def read(_: Shot) -> None:
             heard.append(camera.classify().label)
 
         for index in range(6):
-            camera.hold_scene(digits.images[index])
+            camera.simulation.hold_scene(digits.images[index])
             shot = Shot(str(digits.labels[index]))
             collect(camera, path, [shot], key=receiver, advance=read)
     found, bundle = read_measurements(path), read_bundle(served)

@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from veilcam_client import Camera, EveryCaptures, VeilcamError
+from veilcam_client import Camera, VeilcamError
+from veilcam_client.models import EveryCaptures
 
 from . import network, panel, probe
 from .prepare import SHARED

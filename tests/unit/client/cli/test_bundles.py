@@ -9,9 +9,9 @@ from tests.unit.client.conftest import Daemon
 from tests.unit.client.sealing import AT
 from typer.testing import CliRunner
 
-from veilcam_client import BundleChanged
 from veilcam_client.cli import main as commands
 from veilcam_client.cli.format import bundle_in_words, event_in_words
+from veilcam_client.events import BundleChanged
 from veilcam_client.wire.bundles import EXAMPLES, InstalledBundle, example_bundle
 
 DIGEST = "ab" * 32

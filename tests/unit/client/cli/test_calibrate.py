@@ -10,10 +10,10 @@ import pytest
 from tests.unit.client.conftest import MEASURING, Daemon, problem
 from typer.testing import CliRunner
 
-from veilcam_client import CalibrationChanged
 from veilcam_client.cli import calibrate as command
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.cli.main import app
+from veilcam_client.events import CalibrationChanged
 from veilcam_client.wire.calibration import EXAMPLES
 from veilcam_client.wire.events import EVENT
 

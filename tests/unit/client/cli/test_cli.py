@@ -31,8 +31,8 @@ runner = CliRunner()
         (["classify"], ["7", "90.0 %", "epoch e1"]),
         (["rotate"], ["every 3 captures", "e1"]),
         (["rotate", "--off"], ["every 3 captures"]),
-        (["look"], ["looks 2/s, not between 22:00 and 07:00", ": looking"]),
-        (["look"], ["now  3  99.8 %  for 12.5 s", "03:04:05  3  99.8 %  12.5 s, and still there"]),
+        (["watch"], ["looks 2/s, not between 22:00 and 07:00", ": looking"]),
+        (["watch"], ["now  3  99.8 %  for 12.5 s", "03:04:05  3  99.8 %  12.5 s, and still there"]),
         (["token", "list"], ["0123456789ab", "until it is revoked", "2026-01-03", "a lamp"]),
         (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
         (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
@@ -104,17 +104,17 @@ def test_answers_are_json_when_asked_for(command: str) -> None:
             "rotate --every-captures 9 --reuse 4",
             *("PUT rotation", {"mode": "captures", "captures": 9, "reuse": 4}),
         ),
-        ("look", "GET watch", None),
-        ("look --off", "PUT watch", {"mode": "off"}),
-        ("look --on-request", "PUT watch", {"mode": "on_request", "quiet": None}),
+        ("watch", "GET watch", None),
+        ("watch --off", "PUT watch", {"mode": "off"}),
+        ("watch --on-request", "PUT watch", {"mode": "on_request", "quiet": None}),
         (
-            "look --rate 30/min --quiet-hours 22-7",
+            "watch --rate 30/min --quiet-hours 22-7",
             "PUT watch",
             {"mode": "watching", "rate_hz": 0.5, "quiet": {"begin": "22:00", "end": "07:00"}},
         ),
     ],
 )
-def test_rotate_and_look_ask_for_what_they_were_told(
+def test_rotate_and_watch_ask_for_what_they_were_told(
     daemon: Daemon, command: str, route: str, body: Any
 ) -> None:
     assert runner.invoke(app, command.split()).exit_code == 0
@@ -146,7 +146,7 @@ def test_remedy_is_said_where_it_is_known() -> None:
 
 
 @pytest.mark.parametrize("as_json", [True, False])
-def test_watch_prints_one_line_an_event(daemon: Daemon, *, as_json: bool) -> None:
+def test_event_is_printed_on_one_line(daemon: Daemon, *, as_json: bool) -> None:
     told: list[tuple[str, dict[str, Any], str]] = [
         ("state", {"state": "safe", "detail": "dead", "remedy": "restart"}, "remedy: restart"),
         ("mask", {"epoch": "e1"}, "e1"),
@@ -158,7 +158,7 @@ def test_watch_prints_one_line_an_event(daemon: Daemon, *, as_json: bool) -> Non
         ("gap", {"missed": None}, "restarted"),
     ]
     daemon.first = [events(*({"kind": kind, **fields} for kind, fields, _ in told))]
-    done = runner.invoke(app, ["watch", "--count", "8", *(["--json"] if as_json else [])])
+    done = runner.invoke(app, ["events", "--count", "8", *(["--json"] if as_json else [])])
     assert done.exit_code == 0
     for line, (kind, _, word) in zip(done.stdout.splitlines(), told, strict=True):
         assert json.loads(line)["kind"] == kind if as_json else word in line
@@ -184,10 +184,10 @@ def test_daemon_that_gives_no_answer_has_its_exit_code(url: str, daemon: Daemon)
         (["rotate", "--off", "--every-captures", "2"], "give one of"),
         (["rotate", "--jitter", "1"], "--jitter goes with --every-seconds"),
         (["rotate", "--reuse", "1"], "--reuse goes with"),
-        (["look", "--off", "--rate", "2/s"], "give one of"),
-        (["look", "--off", "--quiet-hours", "22-7"], "--quiet-hours goes with"),
-        (["look", "--rate", "often"], "'often' is no rate: use 2/s"),
-        (["look", "--on-request", "--quiet-hours", "late"], "'late' are no hours: use 22-7"),
+        (["watch", "--off", "--rate", "2/s"], "give one of"),
+        (["watch", "--off", "--quiet-hours", "22-7"], "--quiet-hours goes with"),
+        (["watch", "--rate", "often"], "'often' is no rate: use 2/s"),
+        (["watch", "--on-request", "--quiet-hours", "late"], "'late' are no hours: use 22-7"),
         (["rotate", "--every-captures", "1", "--reuse", "-1"], "--reuse -1: should be greater"),
         (["rotate", "--every-seconds", "1", "--jitter", "1"], "jitter 1 s leaves a mask less"),
     ],

@@ -63,13 +63,13 @@ def test_capture_becomes_a_picture(tmp_path: Path) -> None:
 def test_watch_draws_what_is_seen_when_it_is_wanted(daemon: Daemon) -> None:
     seen = {"kind": "seen", "label": "7", "duration_s": 1.0}
     daemon.first = [events({"kind": "mask", "epoch": "e1"}, seen)]
-    shown = runner.invoke(app, ["watch", "--count", "2", "--picture"], color=True).stdout
+    shown = runner.invoke(app, ["events", "--count", "2", "--picture"], color=True).stdout
     mask, label, drawn = shown.splitlines()
     assert "e1" in mask
     assert "7" in label
     assert drawn.count("▀") == 3
     assert [request.url.path for request in daemon.requests] == ["/v1/events", "/v1/captures"]
-    refused = runner.invoke(app, ["watch", "--picture", "--json"])
+    refused = runner.invoke(app, ["events", "--picture", "--json"])
     assert refused.exit_code == 2
 
 

@@ -19,7 +19,7 @@ DEVICE = Device()
 
 
 def answers(log: Log) -> list[httpx.Response | Exception]:
-    said = LogRecords(records=tuple(log.records)), log.log_head()
+    said = LogRecords(records=tuple(log.records)), log.head()
     return [httpx.Response(200, content=each.model_dump_json()) for each in said]
 
 
@@ -54,7 +54,7 @@ def test_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) ->
 
 
 def test_log_that_does_not_hold_has_its_exit_code(path: Path) -> None:
-    assert runner.invoke(app, ["verify", str(path)]).exit_code == 16
+    assert runner.invoke(app, ["verify", str(path)]).exit_code == 13
     lines = Log(DEVICE).lines
     path.write_bytes(b"".join(line + b"\n" for line in [*lines[:3], *lines[4:]]))
     verified = runner.invoke(app, ["verify", str(path)])

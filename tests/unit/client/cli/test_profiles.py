@@ -45,7 +45,7 @@ def test_profile_counts_as_a_whole(
 ) -> None:
     monkeypatch.delenv("VEILCAM_TOKEN")
     before = dict(os.environ)
-    result = runner.invoke(app, [*options, "status"], env=variables)
+    result = runner.invoke(app, ["status", *options], env=variables)
     assert result.exit_code == 0, result.output
     assert os.environ == before
     assert len(daemon.requests) == 1
@@ -62,11 +62,11 @@ def test_camera_is_told_its_own_token(
     other = elsewhere / "other"
     other.write_text("vc_other")
     for options in (
-        ["--profile", "hall", "status"],
-        ["--profile", "open", "status"],
+        ["status", "--profile", "hall"],
+        ["status", "--profile", "open"],
         ["status", "--url", url],
-        ["--token-file", str(other), "status"],
-        ["--profile", "hall", "--token-file", str(other), "status"],
+        ["status", "--token-file", str(other)],
+        ["status", "--profile", "hall", "--token-file", str(other)],
     ):
         runner.invoke(app, options)
     assert told == ["vc_hall", None, "vc_elsewhere", "vc_other", "vc_other"]
@@ -74,7 +74,7 @@ def test_camera_is_told_its_own_token(
 
 @pytest.mark.usefixtures("elsewhere")
 def test_token_of_a_profile_goes_to_no_other_camera() -> None:
-    result = runner.invoke(app, ["--profile", "hall", "status", "--url", "http://127.0.0.1:2"])
+    result = runner.invoke(app, ["status", "--profile", "hall", "--url", "http://127.0.0.1:2"])
     assert result.exit_code == 2
     assert result.stderr == "veilcam: error: give --url or the profile 'hall', not both\n"
 
@@ -95,7 +95,7 @@ def test_token_of_a_profile_goes_to_no_other_camera() -> None:
 def test_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
     if text is not None:
         (folder / "config.toml").write_text(text)
-    result = runner.invoke(app, ["--profile", "hall", "status"])
+    result = runner.invoke(app, ["status", "--profile", "hall"])
     assert result.exit_code == 2
     (line,) = result.stderr.splitlines()
     assert message in line

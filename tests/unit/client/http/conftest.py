@@ -28,16 +28,13 @@ def both(daemon: Daemon, kind: type, monkeypatch: pytest.MonkeyPatch) -> Both:
     async def rest(seconds: float) -> None:
         made.waits.append(seconds)
 
-    monkeypatch.setattr("veilcam_client.http.async_transport.asyncio.sleep", rest)
+    monkeypatch.setattr("asyncio.sleep", rest)
+    monkeypatch.setattr("veilcam_client.http.transport.time.sleep", made.waits.append)
 
     class Closed(threading.Event):
         def wait(self, timeout: float | None = None) -> bool:
             made.waits.append(timeout or 0.0)
             return self.is_set()
 
-    monkeypatch.setattr("veilcam_client.http.streams.threading.Event", Closed)
-    # Bound as a default argument when the module was loaded.
-    monkeypatch.setattr(
-        "veilcam_client.http.transport.Transport.__init__.__defaults__", (None, made.waits.append)
-    )
+    monkeypatch.setattr("veilcam_client.http.ends.threading.Event", Closed)
     return made

@@ -80,14 +80,14 @@ def test_authority_that_cannot_be_read_is_named(
 
 async def test_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:
     with camera_of(Camera, daemon) as camera:
-        with camera.lease(seconds=10, owner="me") as lease:
+        with camera.lease.hold(seconds=10, owner="me") as lease:
             assert lease.held
-            assert camera.lease_state().mine
+            assert camera.lease.get().mine
             camera.classify()
-            camera.take_lease(seconds=10, owner="me")
+            camera.lease.take(seconds=10, owner="me")
         camera.classify()
     other = camera_of(AsyncCamera, daemon)
-    async with other, other.lease(seconds=10, owner="me"):
+    async with other, other.lease.hold(seconds=10, owner="me"):
         await other.classify()
     sent = [
         f"{request.method} {request.url.path[4:]} {request.headers.get('veilcam-lease')}"
@@ -118,12 +118,12 @@ def test_lease_from_a_terminal(daemon: Daemon, options: list[str], method: str, 
 
 def test_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
     camera = camera_of(Camera, daemon)
-    with pytest.raises(RuntimeError), camera.lease(seconds=10):
+    with pytest.raises(RuntimeError), camera.lease.hold(seconds=10):
         raise RuntimeError
     assert daemon.requests[-1].method == "DELETE"
 
 
 def test_secret_of_a_token_is_not_shown(daemon: Daemon) -> None:
-    made = camera_of(Camera, daemon).create_token("a lamp", ["classify"])
+    made = camera_of(Camera, daemon).tokens.create("a lamp", ["classify"])
     assert made.secret == TOKEN
     assert TOKEN not in repr(made)

@@ -15,15 +15,8 @@ import pytest
 from benchmarks.client.hostile import KINDS, Hostile, draw
 from tests.unit.client.conftest import result
 
-from veilcam_client import (
-    AsyncCamera,
-    Camera,
-    ConnectError,
-    DeviceError,
-    ProtocolError,
-    RequestTimeoutError,
-    VeilcamError,
-)
+from veilcam_client import AsyncCamera, Camera, VeilcamError
+from veilcam_client.errors import ConnectError, DeviceError, ProtocolError, RequestTimeoutError
 from veilcam_client.http.deadline import Limit
 from veilcam_client.http.sockets import _Backend
 
@@ -83,7 +76,7 @@ def test_upload_that_nobody_reads_ends_too() -> None:
         Camera(url, read_timeout=PATIENT) as camera,
         pytest.raises(RequestTimeoutError),
     ):
-        camera.install_bundle(upload, timeout=0.2)
+        camera.bundles.install(upload, timeout=0.2)
 
 
 def test_socket_is_closed_where_no_time_is_left_for_tls() -> None:

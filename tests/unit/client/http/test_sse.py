@@ -1,42 +1,79 @@
-"""Server-sent events, from bytes to messages."""
+"""Pieces of an event stream: events across them, and an event without an end."""
 
 from __future__ import annotations
 
-import pytest
+import json
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
 
-from veilcam_client import ProtocolError
-from veilcam_client.http.sse import MAX_EVENT, Decoder, Message
+import httpx
+import pytest
+from tests.unit.client.http.conftest import Both
+
+from veilcam_client import EventStream
+from veilcam_client.errors import ProtocolError
+from veilcam_client.http.answers import MAX_EVENT
+
+pytestmark = pytest.mark.anyio
+AT = "2026-01-02T03:04:05Z"
+STREAM = {"Content-Type": "text/event-stream"}
+
+
+class Pieces(httpx.SyncByteStream, httpx.AsyncByteStream):
+    """A body that comes in these pieces, to either kind of client."""
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        self._pieces = pieces
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(self._pieces)
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        for piece in self:
+            yield piece
+
+
+async def first_of(camera: Any) -> Any:
+    stream = camera.events()
+    try:
+        return next(stream) if isinstance(stream, EventStream) else await anext(stream)
+    finally:
+        closed = stream.close()
+        if closed is not None:
+            await closed
+
+
+def mask(epoch: str) -> str:
+    return json.dumps({"kind": "mask", "id": "b-1", "at": AT, "epoch": epoch}, ensure_ascii=False)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 1000])
-def test_events_are_read_whatever_the_pieces(size: int) -> None:
-    text = (
-        b": comment\r\n\r\nretry: 5\nevent: a\nid: 1\ndata: x\ndata:  y\n\n"
-        b"data: \xc3\xa9\xe2\x80\xa8z\r\n\r\nid: 2\n\nevent: b\n\ndata\n\n"
-        b"id: 3\x00\ndata: w\n\ndata: \xff\n\nda"
-    )
-    decoder = Decoder()
-    pieces = [text[start : start + size] for start in range(0, len(text), size)]
-    found = [message for piece in pieces for message in decoder.feed(piece)]
-    assert found == [
-        Message("a", "x\n y", "1"),
-        Message("message", "\u00e9\u2028z", "1"),
-        Message("message", "", "2"),
-        Message("message", "w", "2"),
-        Message("message", "\ufffd", "2"),
-    ]
+async def test_event_is_read_whatever_the_pieces(both: Both, size: int) -> None:
+    told = mask("é\u2028z")
+    text = f": comment\r\n\r\nretry: 5\nevent: mask\n\nevent: mask\r\ndata: {told}\n\n"
+    content = text.encode()
+    pieces = [content[start : start + size] for start in range(0, len(content), size)]
+    both.daemon.first = [httpx.Response(200, stream=Pieces(pieces), headers=STREAM)]
+    assert (await both(first_of)).epoch == "é\u2028z"
 
 
 @pytest.mark.parametrize("piece", [b"x" * 4096, b": comment\n" * 400, b"data: 1\n" * 400])
-def test_event_without_an_end_is_refused(piece: bytes) -> None:
+async def test_event_without_an_end_is_refused(both: Both, piece: bytes) -> None:
     pieces = [piece] * (2 * MAX_EVENT // len(piece))
-    decoder = Decoder()
+    both.daemon.first = [httpx.Response(200, stream=Pieces(pieces), headers=STREAM)]
     with pytest.raises(ProtocolError, match="an event of more than 1 MiB"):
-        [list(decoder.feed(piece)) for piece in pieces]
+        await both(first_of)
 
 
-def test_many_short_events_are_not_one_long_one() -> None:
-    decoder = Decoder()
-    for end in (b"\n\n", b"\r\n\r\n"):
-        for _ in range(2 * MAX_EVENT // 4096):
-            assert len(list(decoder.feed(b"data: " + b"x" * 4096 + end))) == 1
+@pytest.mark.parametrize("short", [b"event: later\ndata: " + b"x" * 4096, b": " + b"x" * 4096])
+async def test_many_short_events_are_not_one_long_one(both: Both, short: bytes) -> None:
+    pieces = [short + b"\n\n"] * (2 * MAX_EVENT // 4096)
+    last = f"event: mask\ndata: {mask('e1')}\n\n".encode()
+    both.daemon.first = [httpx.Response(200, stream=Pieces([*pieces, last]), headers=STREAM)]
+    assert (await both(first_of)).epoch == "e1"
+
+
+async def test_answer_that_is_no_event_stream_is_refused(both: Both) -> None:
+    both.daemon.first = [httpx.Response(200, text="<html>")]
+    with pytest.raises(ProtocolError, match="no event stream"):
+        await both(first_of)

@@ -16,16 +16,8 @@ import pytest
 from tests.unit.client.conftest import problem
 from tests.unit.client.http.conftest import Both
 
-from veilcam_client import (
-    AsyncCamera,
-    Camera,
-    ConnectError,
-    EventStream,
-    InvalidRequestError,
-    ProtocolError,
-    UnauthorizedError,
-    VeilcamError,
-)
+from veilcam_client import AsyncCamera, Camera, EventStream, VeilcamError
+from veilcam_client.errors import AccessError, ApiError, ConnectError, ProtocolError
 from veilcam_client.http.options import STREAM_SILENCE
 from veilcam_client.wire.base import CALL_HEADER
 
@@ -127,7 +119,10 @@ async def test_silence_of_a_stream_is_not_health(
     clock = SimpleNamespace(monotonic=lambda: sum(both.waits))
     monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
     both.daemon.first = [events(event(0)), events(event(1), event(2))]
-    both.daemon.first[1:1] = [httpx.Response(200, stream=Silent()) for _ in range(9)]
+    headers = {"Content-Type": "text/event-stream"}
+    both.daemon.first[1:1] = [
+        httpx.Response(200, stream=Silent(), headers=headers) for _ in range(9)
+    ]
     assert await both(lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
     pauses = [pause for pause in both.waits if pause != STREAM_SILENCE]
     assert pauses[-1] >= 15
@@ -158,8 +153,8 @@ def foreign() -> httpx.Response:
 @pytest.mark.parametrize(
     ("answer", "error", "why"),
     [
-        (lambda: problem(401, "unauthorized"), UnauthorizedError, "went wrong"),
-        (lambda: problem(422, "invalid_request"), InvalidRequestError, "went wrong"),
+        (lambda: problem(401, "unauthorized"), AccessError, "went wrong"),
+        (lambda: problem(422, "invalid_request"), ApiError, "went wrong"),
         (lambda: events("event: mask\ndata: {}\n\n"), ProtocolError, "update veilcam"),
         (foreign, ProtocolError, "answer to another request"),
     ],

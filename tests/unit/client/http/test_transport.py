@@ -12,31 +12,25 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.unit.client.conftest import CLASSIFICATION, STATUS, Daemon, problem
+from tests.unit.client.conftest import CLASSIFICATION, STATUS, Daemon, camera_of, problem, result
 from tests.unit.client.http.conftest import Both
 from typer.testing import CliRunner
 
-from veilcam_client import (
+from veilcam_client import Camera, VeilcamError
+from veilcam_client.cli.main import app
+from veilcam_client.errors import (
+    AccessError,
     ApiError,
     BusyError,
-    Camera,
     ConnectError,
     DeviceError,
-    EverySeconds,
-    ForbiddenError,
-    InvalidRequestError,
     LeasedError,
     ProtocolError,
     RequestTimeoutError,
-    RotationOff,
-    ServerError,
-    UnauthorizedError,
-    VeilcamError,
-    Watching,
 )
-from veilcam_client.cli.main import app
 from veilcam_client.http.options import RetryPolicy
-from veilcam_client.wire.base import CALL_HEADER
+from veilcam_client.models import EverySeconds, RotationOff, Watching
+from veilcam_client.wire.base import CALL_HEADER, Nothing
 
 pytestmark = pytest.mark.anyio
 
@@ -52,43 +46,51 @@ ROUTES: list[tuple[Ask, str, Any]] = [
         lambda camera: camera.classify(include_embedding=True),
         *("POST classifications", {"include_embedding": True}),
     ),
-    (lambda camera: camera.rotation(), "GET rotation", None),
+    (lambda camera: camera.rotation.get(), "GET rotation", None),
     (
-        lambda camera: camera.set_rotation(EverySeconds(seconds=7)),
+        lambda camera: camera.rotation.set(EverySeconds(seconds=7)),
         *("PUT rotation", {"mode": "seconds", "seconds": 7.0, "jitter": 0.0, "reuse": 0}),
     ),
-    (lambda camera: camera.set_rotation(RotationOff()), "PUT rotation", {"mode": "off"}),
-    (lambda camera: camera.rotate(), "POST rotation/advance", None),
-    (lambda camera: camera.watch(), "GET watch", None),
+    (lambda camera: camera.rotation.set(RotationOff()), "PUT rotation", {"mode": "off"}),
+    (lambda camera: camera.rotation.advance(), "POST rotation/advance", None),
+    (lambda camera: camera.watch.get(), "GET watch", None),
     (
-        lambda camera: camera.set_watch(Watching(rate_hz=2.0)),
+        lambda camera: camera.watch.set(Watching(rate_hz=2.0)),
         *("PUT watch", {"mode": "watching", "rate_hz": 2.0, "quiet": None}),
     ),
-    (lambda camera: camera.receivers(), "GET receivers", None),
+    (lambda camera: camera.receivers.list(), "GET receivers", None),
     (
-        lambda camera: camera.add_receiver("archive", "veilcam-receiver:c2VhbGVk"),
+        lambda camera: camera.receivers.add("archive", "veilcam-receiver:c2VhbGVk"),
         *("POST receivers", {"label": "archive", "key": "veilcam-receiver:c2VhbGVk"}),
     ),
-    (lambda camera: camera.remove_receiver(AB), f"DELETE receivers/{AB}", None),
-    (lambda camera: camera.bundles(), "GET bundles", None),
-    (lambda camera: camera.install_bundle(b"[7]"), "POST bundles", [7]),
-    (lambda camera: camera.activate_bundle(AB), f"POST bundles/{AB}/activate", None),
-    (lambda camera: camera.remove_bundle(AB), f"DELETE bundles/{AB}", None),
-    (lambda camera: camera.calibration(), "GET calibration", None),
-    (lambda camera: camera.start_calibration(repeats=3), "POST calibration", {"repeats": 3}),
-    (lambda camera: camera.confirm_scene("lamp"), "POST calibration/scene", {"scene": "lamp"}),
-    (lambda camera: camera.cancel_calibration(), "DELETE calibration", None),
-    (lambda camera: camera.log(), "GET log?limit=1000", None),
-    (lambda camera: camera.log(limit=5, after=0), "GET log?limit=5&after=0", None),
-    (lambda camera: camera.tokens(), "GET tokens?limit=100", None),
-    (lambda camera: camera.tokens(limit=5, after="a&b"), "GET tokens?limit=5&after=a%26b", None),
+    (lambda camera: camera.receivers.remove(AB), f"DELETE receivers/{AB}", None),
+    (lambda camera: camera.bundles.list(), "GET bundles", None),
+    (lambda camera: camera.bundles.install(b"[7]"), "POST bundles", [7]),
+    (lambda camera: camera.bundles.activate(AB), f"POST bundles/{AB}/activate", None),
+    (lambda camera: camera.bundles.remove(AB), f"DELETE bundles/{AB}", None),
+    (lambda camera: camera.calibration.get(), "GET calibration", None),
+    (lambda camera: camera.calibration.start(repeats=3), "POST calibration", {"repeats": 3}),
     (
-        lambda camera: camera.create_token("a lamp", ["classify"], seconds=60),
+        lambda camera: camera.calibration.confirm("lamp"),
+        "POST calibration/scene",
+        {"scene": "lamp"},
+    ),
+    (lambda camera: camera.calibration.cancel(), "DELETE calibration", None),
+    (lambda camera: camera.log.list(), "GET log?limit=1000", None),
+    (lambda camera: camera.log.list(limit=5, after=0), "GET log?limit=5&after=0", None),
+    (lambda camera: camera.tokens.list(), "GET tokens?limit=100", None),
+    (
+        lambda camera: camera.tokens.list(limit=5, after="a&b"),
+        "GET tokens?limit=5&after=a%26b",
+        None,
+    ),
+    (
+        lambda camera: camera.tokens.create("a lamp", ["classify"], seconds=60),
         *("POST tokens", {"label": "a lamp", "scopes": ["classify"], "seconds": 60}),
     ),
-    (lambda camera: camera.revoke_token("0123456789ab"), "DELETE tokens/0123456789ab", None),
-    (lambda camera: camera.break_lease(), "DELETE lease?force=true", None),
-    (lambda camera: camera.release_lease(), "DELETE lease", None),
+    (lambda camera: camera.tokens.revoke("0123456789ab"), "DELETE tokens/0123456789ab", None),
+    (lambda camera: camera.lease.revoke(), "DELETE lease?force=true", None),
+    (lambda camera: camera.lease.release(), "DELETE lease", None),
 ]
 
 
@@ -107,10 +109,10 @@ async def test_every_method_asks_its_route(both: Both) -> None:
 
 async def test_name_stays_one_part_of_the_path(both: Both) -> None:
     asks: dict[str, Ask] = {
-        "/v1/bundles/..%2Fstatus%3Fx/activate": lambda camera: camera.activate_bundle(
+        "/v1/bundles/..%2Fstatus%3Fx/activate": lambda camera: camera.bundles.activate(
             "../status?x"
         ),
-        "/v1/tokens/..%2Fstatus%3Fx": lambda camera: camera.revoke_token("../status?x"),
+        "/v1/tokens/..%2Fstatus%3Fx": lambda camera: camera.tokens.revoke("../status?x"),
     }
     for path, ask in asks.items():
         with pytest.raises(KeyError):
@@ -120,10 +122,10 @@ async def test_name_stays_one_part_of_the_path(both: Both) -> None:
 
 async def test_results_are_typed(both: Both) -> None:
     assert np.asarray(await both(lambda camera: camera.capture())).shape == (2, 3)
-    active, other = await both(lambda camera: camera.bundles())
+    active, other = (await both(lambda camera: camera.bundles.list())).bundles
     assert (active.active, active.bundle, other.bundle.task) == (True, None, "fashion")
-    assert await both(lambda camera: camera.remove_receiver(AB)) is None
-    await both(lambda camera: camera.install_bundle(b"bundle"))
+    assert await both(lambda camera: camera.receivers.remove(AB)) == Nothing()
+    await both(lambda camera: camera.bundles.install(b"bundle"))
     sent = both.daemon.requests[-1].headers["content-type"]
     assert sent == "application/vnd.veilcam.bundle"
 
@@ -131,15 +133,15 @@ async def test_results_are_typed(both: Both) -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        (401, "unauthorized", UnauthorizedError, 10),
-        (403, "forbidden", ForbiddenError, 11),
-        (403, "embedding_withheld", InvalidRequestError, 5),
-        (409, "rotation_impossible", InvalidRequestError, 5),
-        (422, "invalid_request", InvalidRequestError, 5),
+        (401, "unauthorized", AccessError, 10),
+        (403, "forbidden", AccessError, 10),
+        (403, "embedding_withheld", ApiError, 5),
+        (409, "rotation_impossible", ApiError, 5),
+        (422, "invalid_request", ApiError, 5),
         (423, "leased", LeasedError, 12),
         (429, "queue_full", BusyError, 6),
         (503, "sensor_failed", DeviceError, 7),
-        (500, "internal_error", ServerError, 8),
+        (500, "internal_error", ApiError, 5),
     ],
 )
 async def test_problem_is_the_error_of_its_status(
@@ -319,10 +321,27 @@ async def test_lease_of_another_is_told_at_once_unless_waited_for(both: Both) ->
 
 async def test_patience_with_another_holder_ends(both: Both) -> None:
     both.daemon.first = [problem(423, "leased", retryable=True, **{"Retry-After": "20"})] * 9
-    for ask in (lambda camera: camera.classify(wait=0), lambda camera: camera.rotate(wait=1e-9)):
+    for ask in (
+        lambda camera: camera.classify(wait=0),
+        lambda camera: camera.rotation.advance(wait=1e-9),
+    ):
         with pytest.raises(LeasedError):
             await both(ask)
     assert sum(both.waits) <= 1e-9
+
+
+async def test_every_result_names_its_request(both: Both) -> None:
+    def answer(request: httpx.Request) -> httpx.Response:
+        found = both.daemon(request)
+        found.headers["X-Request-Id"] = "r9"
+        return found
+
+    for ask, route, _ in ROUTES:
+        camera = camera_of(both.kind, answer)
+        found = await result(ask(camera))
+        assert found.request_id == "r9", route
+        unnamed = await both(ask)
+        assert (unnamed.request_id, dict(unnamed), unnamed) == (None, dict(found), found)
 
 
 async def test_raw_answer_names_its_request(both: Both) -> None:
@@ -330,13 +349,13 @@ async def test_raw_answer_names_its_request(both: Both) -> None:
         httpx.ConnectError("refused"),
         httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
     ]
-    raw = await both(lambda camera: camera.with_raw_response.classify(timeout=9))
+    raw = await both(lambda camera: camera.raw(camera.classify, timeout=9))
     assert (raw.status_code, raw.request_id) == (200, "r7")
     assert raw.headers["x-REQUEST-id"] == "r7"
     assert json.loads(raw.content) == CLASSIFICATION
     assert (raw.parse().label, raw.parse().confidence) == ("7", 0.9)
-    bundles = await both(lambda camera: camera.with_raw_response.bundles())
-    assert (len(bundles.parse()), bundles.request_id) == (2, None)
+    bundles = await both(lambda camera: camera.raw(camera.bundles.list))
+    assert (len(bundles.parse().bundles), bundles.request_id) == (2, None)
 
 
 async def test_base_with_its_version_is_understood(both: Both) -> None:
@@ -373,7 +392,7 @@ async def test_repetitions_are_logged_and_secrets_are_not(
     assert "connection_failed" in caplog.text
     assert "GET /v1/status" not in caplog.text
     with caplog.at_level("DEBUG", "veilcam"):
-        await both(lambda camera: camera.tokens(), token=token, url="http://localhost")
+        await both(lambda camera: camera.tokens.list(), token=token, url="http://localhost")
     assert "GET /v1/tokens: 200" in caplog.text
     assert "limit=" not in caplog.text
     assert token not in caplog.text

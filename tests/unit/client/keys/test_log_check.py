@@ -27,7 +27,7 @@ def found(lines: list[bytes], **others: Any) -> list[str]:
 
 
 def test_whole_log_holds() -> None:
-    examined = examine(content(LINES), device=DEVICE.public, head=LOG.log_head(), answer=answer(3))
+    examined = examine(content(LINES), device=DEVICE.public, head=LOG.head(), answer=answer(3))
     assert examined == Examination(
         device=DEVICE.public,
         first=0,
@@ -137,31 +137,31 @@ def test_half_a_last_line_is_found(cut: int) -> None:
 
 
 def test_newest_record_may_be_missing_without_a_head_alone() -> None:
-    head = LOG.log_head()
+    head = LOG.head()
     assert found(LINES[:-1], head=head) == ["head: record 9 is missing at the end of the file"]
     told = ["head: records 7 to 9 are missing at the end of the file"]
     assert found(LINES[:7], head=head) == told
 
 
 def test_earlier_head_holds_as_long_as_its_record_is_there() -> None:
-    earlier = Log(DEVICE, LIFE[:2]).log_head()
+    earlier = Log(DEVICE, LIFE[:2]).head()
     assert found(LINES, head=earlier) == []
     assert found(LINES[2:], head=earlier) == []
     said = examine(content(LINES[2:]), head=earlier).said
     assert said[-1] == "head: it is of record 1, before the first of the file"
-    told = examine(content(LINES), head=LOG.log_head(missed=3)).said
+    told = examine(content(LINES), head=LOG.head(missed=3)).said
     assert told[-1] == "head: 3 answers more have no record"
 
 
 def test_head_of_another_log_is_found() -> None:
     forked = Log(DEVICE, (*LIFE[:-1], LogStopped(at=AT)))
-    [wrong] = found(LINES, head=forked.log_head())
+    [wrong] = found(LINES, head=forked.head())
     assert wrong.startswith("head: it names another record 9: the log was changed, or the camera's")
-    [wrong] = found(LINES, head=Log(Device()).log_head())
+    [wrong] = found(LINES, head=Log(Device()).head())
     assert wrong.startswith("head: it is of device ")
-    forged = LOG.log_head().model_copy(update={"oldest": 1})
+    forged = LOG.head().model_copy(update={"oldest": 1})
     assert found(LINES, head=forged) == ["head: the device did not sign this: it was changed"]
-    assert found([], head=LOG.log_head())[0] == "there is no record"
+    assert found([], head=LOG.head())[0] == "there is no record"
 
 
 def test_answer_is_found_or_not() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from cryptography.exceptions import InvalidTag
 
-from veilcam_client.errors import KeyFileError
+from veilcam_client.errors import FileError
 from veilcam_client.keys.receivers import PRIVATE_BYTES, PUBLIC_BYTES, Receiver, ReceiverKey
 
 
@@ -70,10 +70,10 @@ def test_file_keeps_the_private_half(receiver: ReceiverKey, tmp_path: Path) -> N
 def test_key_is_never_overwritten(receiver: ReceiverKey, tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_text("mine")
-    with pytest.raises(KeyFileError, match="exists and was left alone"):
+    with pytest.raises(FileError, match="exists and was left alone"):
         receiver.write(path)
     assert path.read_text() == "mine"
-    with pytest.raises(KeyFileError, match=r"cannot be written \(No such file"):
+    with pytest.raises(FileError, match=r"cannot be written \(No such file"):
         receiver.write(tmp_path / "no" / "such")
 
 
@@ -85,7 +85,7 @@ def test_half_a_key_is_not_left_behind(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        with pytest.raises(KeyFileError, match="No space left"):
+        with pytest.raises(FileError, match="No space left"):
             receiver.write(tmp_path / "key")
     receiver.write(tmp_path / "key")
 
@@ -95,17 +95,17 @@ def test_file_that_is_no_key_of_ones_own_is_refused(receiver: ReceiverKey, tmp_p
     receiver.write(path)
     text = path.read_text()
     path.chmod(0o640)
-    with pytest.raises(KeyFileError, match="is open to others: run chmod 600"):
+    with pytest.raises(FileError, match="is open to others: run chmod 600"):
         ReceiverKey.read(path)
     path.chmod(0o600)
     for other in ("", str(receiver.public), text[:-5], "\xff" * 99, text.partition(":")[2]):
         path.write_text(other, "latin-1")
-        with pytest.raises(KeyFileError, match="holds no receiver's private key") as refused:
+        with pytest.raises(FileError, match="holds no receiver's private key") as refused:
             ReceiverKey.read(path)
         assert text.partition(":")[2][:10] not in str(refused.value)
-    with pytest.raises(KeyFileError, match=r"cannot be read \(No such file"):
+    with pytest.raises(FileError, match=r"cannot be read \(No such file"):
         ReceiverKey.read(tmp_path / "missing")
-    with pytest.raises(KeyFileError, match=r"cannot be read \(Is a directory"):
+    with pytest.raises(FileError, match=r"cannot be read \(Is a directory"):
         ReceiverKey.read(tmp_path)
 
 

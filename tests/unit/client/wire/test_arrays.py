@@ -15,7 +15,8 @@ from pydantic import ValidationError
 from tests.unit.client.conftest import CAPTURE, CLASSIFICATION, STATUS
 from tests.unit.client.sealing import Device, Epoch
 
-from veilcam_client import ProtocolError, SealedError, VeilcamError
+from veilcam_client import VeilcamError
+from veilcam_client.errors import ProtocolError, SealedError
 from veilcam_client.http.answers import Received, read
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.numbers import npy_array, picture

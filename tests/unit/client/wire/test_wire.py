@@ -10,6 +10,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 from tests.unit.client.conftest import STATUS
 
+from veilcam_client import events, models
 from veilcam_client.wire.captures import ClassificationRequest
 from veilcam_client.wire.events import EVENT, EVENT_KINDS, Gap
 from veilcam_client.wire.rotation import POLICY, EveryCaptures, EverySeconds, RotationOff
@@ -55,3 +56,23 @@ def test_every_kind_of_event_is_known() -> None:
     assert set(mapping) == EVENT_KINDS
     text = '{"kind": "gap", "id": "a-1", "at": "2026-01-02T03:04:05Z", "missed": 3}'
     assert EVENT.validate_json(text) == Gap.model_validate_json(text)
+
+
+UNITS = {"_s": "[s]", "_m": "[m]", "_hz": "[1/s]", "_rad": "[rad]"}
+MODELS = [
+    kind
+    for module in (models, events)
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, BaseModel)
+]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_every_field_is_described_with_its_unit(kind: type[BaseModel]) -> None:
+    properties = kind.model_json_schema(mode="serialization")["properties"]
+    assert set(properties) == set(kind.model_fields)
+    for name, schema in properties.items():
+        said = schema["description"]
+        assert said.endswith("."), name
+        for ending, unit in UNITS.items():
+            assert not name.endswith(ending) or unit in said, name

@@ -38,7 +38,7 @@ def sdk(client: httpx.AsyncClient) -> AsyncCamera:
 
 
 async def captures(camera: AsyncCamera) -> list[LoggedCapture]:
-    records = (await camera.log()).records
+    records = (await camera.log.list()).records
     assert all(map(is_genuine, records))
     return [each.entry for each in records if isinstance(each.entry, LoggedCapture)]
 
@@ -72,7 +72,7 @@ async def test_receiver_finds_the_mask_that_a_record_commits_to(
     async with running() as client:
         camera = sdk(client)
         for _ in range(4):
-            await camera.rotate()
+            await camera.rotation.advance()
             answer = await camera.capture()
             shown.append(bench.pair_shown())
             assert isinstance(answer.embedding, SealedEmbedding)
@@ -119,10 +119,10 @@ async def test_head_is_signed_and_pages_follow_from_each_other(
         camera = sdk(client)
         for _ in range(3):
             await camera.classify()
-        head = await camera.log_head()
-        first = await camera.log(limit=2)
+        head = await camera.log.head()
+        first = await camera.log.list(limit=2)
         assert first.next == 1
-        rest = await camera.log(after=first.next)
+        rest = await camera.log.list(after=first.next)
     assert is_genuine(head)
     assert head.device == bench.key.public
     assert [each.position for each in (*first.records, *rest.records)] == [0, 1, 2, 3]
@@ -158,13 +158,13 @@ async def test_full_disk_stops_no_answer(
         with monkeypatch.context() as full:
             full.setattr(os, "pwrite", refuse)
             await camera.classify()
-            assert (await camera.log_head()).missed == 1
+            assert (await camera.log.head()).missed == 1
             assert await captures(camera) == []
             faults = (await camera.diagnostics()).faults
             assert [fault.code for fault in faults] == ["log_not_written"]
             assert faults[0].remedy == "check_disk"
         await camera.classify()
-        kinds = [each.entry.kind for each in (await camera.log()).records]
+        kinds = [each.entry.kind for each in (await camera.log.list()).records]
         assert kinds == ["start", "gap", "capture"]
 
 
@@ -191,5 +191,5 @@ async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
         camera = sdk(client)
         await camera.classify()
         assert [fault.code for fault in (await camera.diagnostics()).faults] == ["log_damaged"]
-        said = [getattr(each.entry, "after", "") for each in (await camera.log()).records]
+        said = [getattr(each.entry, "after", "") for each in (await camera.log.list()).records]
     assert said == ["nothing", "", "damage", ""]

@@ -99,17 +99,17 @@ async def test_pairing_holds_from_the_next_epoch_on(running: Running, fresh_benc
             await sdk.capture()
         assert (caught.value.status, caught.value.code) == (409, "no_receiver")
         assert (await sdk.classify()).label in bench.bundle.labels
-        await sdk.add_receiver("archive", KEY.public)
+        await sdk.receivers.add("archive", KEY.public)
         first, second = await sdk.capture(), await sdk.capture()
         assert np.array_equal(np.asarray(first), bench.sensor.measurement)
         assert first.notes is not None
         assert second.epoch == first.epoch
-        await sdk.remove_receiver(KEY.public.id)
-        await sdk.add_receiver("another", ReceiverKey.generate().public)
+        await sdk.receivers.remove(KEY.public.id)
+        await sdk.receivers.add("another", ReceiverKey.generate().public)
         # The mask that is shown has one capture left, which is a label's: for what is sealed, the
         # next epoch begins.
         assert (await sdk.classify()).epoch == first.epoch
-        await sdk.set_rotation(RotationOff())
+        await sdk.rotation.set(RotationOff())
         with pytest.raises(SealedError, match="not sealed to receiver"):
             await sdk.capture()
 

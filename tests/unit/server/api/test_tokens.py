@@ -61,9 +61,9 @@ async def test_no_answer_has_more_than_it_should(
     monkeypatch.setattr(store, "tokens", lambda: many)
     async with running(admission=Admission(store)) as client:
         camera = AsyncCamera("http://localhost", http_client=client, token=one.secret)
-        first = await camera.tokens()
+        first = await camera.tokens.list()
         assert (len(first.tokens), first.next) == (TOKENS_AT_ONCE, one.id)
-        assert len((await camera.tokens(limit=MOST_TOKENS)).tokens) == TOKENS_AT_ONCE + 1
+        assert len((await camera.tokens.list(limit=MOST_TOKENS)).tokens) == TOKENS_AT_ONCE + 1
 
 
 @pytest.mark.parametrize(

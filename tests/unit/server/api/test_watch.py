@@ -50,7 +50,7 @@ def sdk(client: httpx.AsyncClient, token: str | None = None) -> AsyncCamera:
 
 async def until_seen(camera: AsyncCamera) -> Watch:
     """Wait until something is there."""
-    while not (found := await camera.watch()).history:
+    while not (found := await camera.watch.get()).history:
         await asyncio.sleep(0.02)
     return found
 
@@ -58,17 +58,17 @@ async def until_seen(camera: AsyncCamera) -> Watch:
 async def test_off_is_opaque_for_everybody(running: Running, bench: Bench) -> None:
     async with running() as client:
         camera = sdk(client)
-        assert (await camera.watch()).activity == "on_request"
-        found = await camera.set_watch(WatchOff())
+        assert (await camera.watch.get()).activity == "on_request"
+        found = await camera.watch.set(WatchOff())
         assert (found.activity, found.policy) == ("off", WatchOff())
         assert not bench.display.shown[-1].any()
         assert (await camera.status()).state == "off"
         captures = bench.sensor.captures
-        for asked in (camera.capture, camera.classify, camera.rotate):
+        for asked in (camera.capture, camera.classify, camera.rotation.advance):
             assert await code(asked()) == "not_looking"
         assert bench.sensor.captures == captures
         assert bench.pair_shown() is None
-        assert (await camera.set_watch(OnRequest())).activity == "on_request"
+        assert (await camera.watch.set(OnRequest())).activity == "on_request"
         assert bench.pair_shown() is not None
         assert (await camera.classify()).label in "0123456789"
         states = [past.state for past in (await camera.diagnostics()).states]
@@ -79,7 +79,7 @@ async def test_off_is_opaque_for_everybody(running: Running, bench: Bench) -> No
 async def test_quiet_hours_hold_from_the_answer_on(running: Running, bench: Bench) -> None:
     async with running() as client:
         camera = sdk(client)
-        found = await camera.set_watch(OnRequest(quiet=ALWAYS))
+        found = await camera.watch.set(OnRequest(quiet=ALWAYS))
         assert found.activity == "quiet"
         assert not bench.display.shown[-1].any()
         assert await code(camera.classify()) == "not_looking"
@@ -93,9 +93,9 @@ async def test_watch_looks_by_itself_and_releases_a_label_alone(
     spent = []
     async with running(on=bench, policy=EveryCaptures(captures=1)) as client:
         camera = sdk(client)
-        before, found = await camera.log_head(), await until_seen(camera)
+        before, found = await camera.log.head(), await until_seen(camera)
         spent.append((await camera.status()).captures)
-        after = await camera.log_head()
+        after = await camera.log.head()
         # The one embedding that may leave behind the mask is there still.
         assert (await camera.capture()).embedding.form == "raw"
     assert found.activity == "looking"
@@ -114,12 +114,12 @@ async def test_sight_is_an_event_and_a_look_is_none(running: Running, bench: Ben
         assert isinstance(service, Service)
         heard = list[Event]()
         service._events.subscribe(heard.append)
-        while (await sdk(client).watch()).looks < 3:
+        while (await sdk(client).watch.get()).looks < 3:
             await asyncio.sleep(0.02)
         bench.sensor.measurement = 10 * np.ones_like(bench.sensor.measurement)
         found = await until_seen(sdk(client))
         bench.sensor.measurement = np.zeros_like(bench.sensor.measurement)
-        while (await sdk(client).watch()).history[0].gone_at is None:
+        while (await sdk(client).watch.get()).history[0].gone_at is None:
             await asyncio.sleep(0.02)
     kinds = [event.kind for event in heard if event.kind not in ("mask", "state")]
     assert kinds == ["seen", "gone"]
@@ -136,11 +136,11 @@ async def test_lease_of_another_stops_it_and_refuses_to_change_it(
         service = client._transport.app.state.service  # type: ignore[attr-defined]
         assert not service.watcher.leased()
         holder = sdk(client)
-        await holder.take_lease(seconds=60)
+        await holder.lease.take(seconds=60)
         assert service.watcher.leased()
-        assert await code(sdk(client).set_watch(WatchOff())) == "leased"
-        assert (await sdk(client).watch()).activity == "on_request"
-        assert (await holder.set_watch(WatchOff())).activity == "off"
+        assert await code(sdk(client).watch.set(WatchOff())) == "leased"
+        assert (await sdk(client).watch.get()).activity == "on_request"
+        assert (await holder.watch.set(WatchOff())).activity == "off"
 
 
 async def test_while_the_camera_is_measured_it_cannot_be_switched(
@@ -153,8 +153,8 @@ async def test_while_the_camera_is_measured_it_cannot_be_switched(
             raise CalibratingError
 
         monkeypatch.setattr(service.calibration, "require_idle", measured)
-        assert await code(sdk(client).set_watch(WatchOff())) == "calibrating"
-        assert (await sdk(client).watch()).policy == OnRequest()
+        assert await code(sdk(client).watch.set(WatchOff())) == "calibrating"
+        assert (await sdk(client).watch.get()).policy == OnRequest()
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
     some = store.create("some", scopes, None)
     async with running(on=bench, admission=Admission(store)) as client:
         whole = await until_seen(sdk(client, every.secret))
-        found = await sdk(client, some.secret).watch()
-        assert await code(sdk(client, some.secret).set_watch(WatchOff())) == "forbidden"
+        found = await sdk(client, some.secret).watch.get()
+        assert await code(sdk(client, some.secret).watch.set(WatchOff())) == "forbidden"
     assert whole.belief is not None
     assert whole.history
     assert (found.belief is not None, bool(found.history)) == (label, label)

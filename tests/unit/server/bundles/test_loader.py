@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_client import EveryCaptures, EverySeconds, RotationOff
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.bundles.loader import release_terms, rotation_policy
 from veilcam_server.errors import StartError
 from veilcam_server.masks.source import Terms

@@ -1,20 +1,11 @@
-"""``veilcam look``: whether the camera looks by itself, and what it believes to see."""
+"""``veilcam watch``: the camera looks by itself."""
 
 from typing import Annotated
 
 import typer
 
 from veilcam_client.cli.format import activity_in_words, sure_in_words
-from veilcam_client.cli.terminal import (
-    USAGE,
-    JsonOption,
-    TimeoutOption,
-    UrlOption,
-    ask,
-    fail,
-    show,
-)
-from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.cli.terminal import USAGE, Ask, asking, fail
 from veilcam_client.wire.watch import (
     OnRequest,
     Watch,
@@ -26,7 +17,9 @@ from veilcam_client.wire.watch import (
 )
 
 
-def look(
+@asking()
+def watch(
+    ask: Ask,
     *,
     rate: Annotated[
         str | None, typer.Option(help="Look by itself so often: 2/s, 30/min or 6/h.")
@@ -41,11 +34,8 @@ def look(
         str | None,
         typer.Option(help="With --rate or --on-request: the panel is opaque then, as in 22-7."),
     ] = None,
-    url: UrlOption = DEFAULT_URL,
-    timeout: TimeoutOption = 30.0,
-    json: JsonOption = False,
 ) -> None:
-    """Show what the camera believes to see, or say when it looks."""
+    """Show the belief of the camera about the scene, or say when it looks by itself."""
     if sum((off, on_request, rate is not None)) > 1:
         fail("give one of --rate, --on-request and --off", USAGE)
     if quiet_hours is not None and rate is None and not on_request:
@@ -61,12 +51,10 @@ def look(
             policy = Watching(rate_hz=parse_rate(rate), quiet=quiet)
     except ValueError as error:
         fail(str(error), USAGE)
-    answer = ask(
-        url,
-        timeout,
-        lambda camera: camera.watch() if policy is None else camera.set_watch(policy),
+    ask(
+        lambda camera: camera.watch.get() if policy is None else camera.watch.set(policy),
+        watch_in_words,
     )
-    show(answer, watch_in_words, json=json)
 
 
 def watch_in_words(found: Watch) -> str:
