@@ -59,6 +59,18 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
+class StorageError(
+    ProblemError,
+    StartError,
+    code="storage_failed",
+    status=503,
+    title="The state directory's disk fails",
+    retryable=True,
+    remedy="check_disk",
+):
+    """The state directory cannot be read or written; what it held before holds on."""
+
+
 class StateDamagedError(
     ProblemError,
     code="state_damaged",
@@ -109,17 +121,6 @@ class LogDamagedError(
     remedy="check_disk",
 ):
     """Records of the capture log do not hold any more; the message says which part."""
-
-
-class ReleaseNotRecordedError(
-    ProblemError,
-    code="release_not_recorded",
-    status=503,
-    title="That an embedding leaves is not durable",
-    retryable=True,
-    remedy="check_disk",
-):
-    """That an embedding leaves could not be recorded, so it stays."""
 
 
 class MasksSpentError(
@@ -207,28 +208,6 @@ class RotationImpossibleError(
     remedy="install_bundle",
 ):
     """There is no other mask to change to."""
-
-
-class PolicyStoreError(
-    ProblemError,
-    code="rotation_not_stored",
-    status=503,
-    title="The rotation policy is not durable",
-    retryable=True,
-    remedy="check_disk",
-):
-    """A rotation policy could not be made durable."""
-
-
-class WatchStoreError(
-    ProblemError,
-    code="watch_not_stored",
-    status=503,
-    title="The watch policy is not durable",
-    retryable=True,
-    remedy="check_disk",
-):
-    """A watch policy could not be made durable."""
 
 
 class WithheldError(
@@ -425,17 +404,6 @@ class UnknownTokenError(
     """There is no token of this id."""
 
 
-class TokenStoreError(
-    ProblemError,
-    code="tokens_unavailable",
-    status=503,
-    title="The tokens are out of reach",
-    retryable=True,
-    remedy="check_disk",
-):
-    """The tokens cannot be read or written."""
-
-
 class TokensOffError(
     ProblemError,
     code="tokens_off",
@@ -490,17 +458,6 @@ class UnknownReceiverError(
     detail="there is no receiver of this id: see GET /v1/receivers",
 ):
     """There is no receiver of this id."""
-
-
-class ReceiverStoreError(
-    ProblemError,
-    code="receivers_not_stored",
-    status=503,
-    title="The receivers are not durable",
-    retryable=True,
-    remedy="check_disk",
-):
-    """A change of the receivers could not be made durable."""
 
 
 class RateLimitError(
@@ -668,17 +625,6 @@ class BundlesBusyError(
     detail="another change of bundles is under way: try again when it is done",
 ):
     """Another change of bundles is under way."""
-
-
-class BundleStoreError(
-    ProblemError,
-    code="bundle_not_stored",
-    status=503,
-    title="The bundle is not durable",
-    retryable=True,
-    remedy="check_disk",
-):
-    """A bundle could not be made durable."""
 
 
 class InferenceError(

@@ -33,7 +33,7 @@ ALWAYS = (
     "forbidden",
     "rate_limited",
     "too_many_requests",
-    "tokens_unavailable",
+    "storage_failed",
 )
 """What every route that wants a token can answer with."""
 KEYED = ("idempotency_key_reused", "done_before_restart", "answer_not_kept", "too_many_keys")

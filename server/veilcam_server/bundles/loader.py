@@ -18,10 +18,10 @@ from veilcam_server.errors import (
     BundleInvalidError,
     BundleOlderError,
     BundleRevealsError,
-    BundleStoreError,
     BundleUnfitError,
     BundleUntrustedError,
     StartError,
+    StorageError,
     UnknownBundleError,
 )
 from veilcam_server.masks.fresh import FreshSource
@@ -331,5 +331,5 @@ def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: R
         return
     try:
         store.settle(digest, opener.owners.remember(keys.info, store.used))
-    except BundleStoreError as error:
-        report(BundleStoreError(f"which bundle is in use is not remembered: {error}"))
+    except StorageError as error:
+        report(StorageError(f"which bundle is in use is not remembered: {error}"))

@@ -15,9 +15,8 @@ from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
     BundleInvalidError,
     BundlesBusyError,
-    BundleStoreError,
     BundleUnfitError,
-    StartError,
+    StorageError,
 )
 
 Change = Callable[[LoadedBundle], Awaitable[None]]
@@ -64,7 +63,7 @@ class BundleManager:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
             BundleRevealsError: its masks show pictures of the scene.
-            BundlesFullError, BundleStoreError: it cannot be stored now.
+            BundlesFullError, StorageError: it cannot be stored now.
         """
         with self._store.incoming() as (path, stream):
             async for chunk in chunks:
@@ -91,7 +90,7 @@ class BundleManager:
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
             BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
             BundleRevealsError: its masks show pictures of the scene.
-            BundleStoreError, BundlesBusyError: it cannot be made durable now.
+            StorageError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():
             before = self._keys
@@ -102,8 +101,8 @@ class BundleManager:
                     await change(keys)
                     self._keys, self._infos[digest] = keys, keys.info
                 try:
-                    await asyncio.to_thread(self._store.commit, staged)
-                except BundleStoreError:
+                    await asyncio.to_thread(staged.commit)
+                except StorageError:
                     # What runs must be what a restart would bring.
                     if self._keys is not before:
                         await change(before)
@@ -141,26 +140,17 @@ class BundleManager:
         """Read an uploaded file that may be used later."""
         info = bundle_info(self._opener.take(path))
         if self._opener.owners.keys:  # else an older one may be allowed when it is activated
-            self._opener.owners.check_version(info, self._used())
+            self._opener.owners.check_version(info, self._store.used)
         return info
 
     def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
         """Open a bundle that may be used now, and return the record that is kept of it."""
         owners, keys = self._opener.owners, self._keys
-        used = dataclasses.replace(self._used(), version=keys.info.version)
+        used = dataclasses.replace(self._store.used, version=keys.info.version)
         if digest != keys.info.digest:
             keys = self._opener.open(self._store.path(digest), digest)
             owners.check_version(keys.info, used, allow_older=allow_older)
         return keys, owners.remember(keys.info, used)
-
-    def _used(self) -> Used:
-        try:
-            return self._store.used
-        except StartError:
-            raise BundleStoreError(
-                "the bundles that were in use cannot be read: 'veilcamd doctor' on the camera's "
-                "machine says why"
-            ) from None
 
     async def _response(self, digest: str) -> InstalledBundle:
         path = self._store.path(digest)

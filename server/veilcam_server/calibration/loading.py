@@ -8,7 +8,13 @@ from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.bundles.loader import OpenSource, open_source
-from veilcam_server.calibration.record import AGAIN, RECORD_NAME, RecordFile, imperfections_of
+from veilcam_server.calibration.record import (
+    AGAIN,
+    RECORD_NAME,
+    calibration_store,
+    imperfections_of,
+    is_signed,
+)
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
@@ -34,7 +40,7 @@ def open_calibration(
         StartError: it is of another camera; or the one that the settings name cannot be trusted.
     """
     path, named = record_path(settings), settings.calibration is not None
-    signed = RecordFile(path, report).read()
+    signed = calibration_store(path, report).read()
     if signed is None:
         if named:
             raise StartError(
@@ -42,7 +48,7 @@ def open_calibration(
                 "give another --calibration"
             )
         return None
-    if signed.public_key != key.public:
+    if signed.public_key != key.public or not is_signed(signed):
         why = f"{path} was signed by another device: {AGAIN}, or give another --calibration"
         if named:
             raise StartError(why)

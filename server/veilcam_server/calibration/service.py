@@ -35,7 +35,7 @@ from veilcam_server.calibration.loading import (
 )
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
-from veilcam_server.calibration.record import sign_record, write_record
+from veilcam_server.calibration.record import calibration_store, sign_record
 from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.camera.engine import CameraEngine, Publish
@@ -177,8 +177,8 @@ class CalibrationService:
         return sign_record(record, self._key)
 
     def write(self, signed: SignedCalibration) -> None:
-        """Let the next daemon begin with a record; raises :class:`CalibrationError`."""
-        write_record(record_path(self._settings), signed)
+        """Let the next daemon begin with a record; raises :class:`StorageError`."""
+        calibration_store(record_path(self._settings)).change(lambda _: signed)
 
     def serve(self, served: Served) -> None:
         """Take the camera that :meth:`start` measures."""

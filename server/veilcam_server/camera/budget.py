@@ -15,9 +15,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
 from veilcam_client.wire.sealing import Release
-from veilcam_server.errors import ReleaseNotRecordedError
 from veilcam_server.masks.source import Mask
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 NAME = "released.json"
 """Of the record in the state directory."""
@@ -49,7 +48,7 @@ class ReleaseBudget:
         if raw < 0:
             raise ValueError(f"raw = {raw} is not valid: use 0 or more")
         self._limits: dict[Release, float] = {"sealed": math.inf, "white": 1, "raw": raw}
-        self._file = StateFile(
+        self._file = StateStore(
             directory / NAME,
             _Released,
             lost="no embedding leaves raw behind a stored mask any more; to forget what left, move "
@@ -77,7 +76,7 @@ class ReleaseBudget:
         """Count one embedding, before it leaves.
 
         Raises:
-            ReleaseNotRecordedError: that cannot be made durable.
+            StorageError: that cannot be made durable.
         """
         if not mask.mark:
             mask.released += 1
@@ -91,10 +90,4 @@ class ReleaseBudget:
             counts[mark] = max(counts.get(mark, 0), self._counts.get(mark, 0)) + 1
             return _Released(counts=counts)
 
-        try:
-            self._counts = dict(self._file.change(counted).counts)
-        except OSError as error:
-            raise ReleaseNotRecordedError(
-                f"that an embedding leaves cannot be recorded ({error.strerror}): "
-                "check the state directory's disk"
-            ) from None
+        self._counts = dict(self._file.change(counted).counts)

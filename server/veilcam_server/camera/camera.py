@@ -367,7 +367,7 @@ class MaskedCamera:
             RotationImpossibleError, DisplayError: the mask was due to change and could not; it is
                 not used beyond what the policy allows.
             WithheldError, NoReceiverError, MasksSpentError: the embedding may not leave.
-            ReleaseNotRecordedError: that it leaves cannot be made durable, so it stays.
+            StorageError: that it leaves cannot be made durable, so it stays.
         """
         with self._lock:
             begun = time.monotonic()

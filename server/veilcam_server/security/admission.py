@@ -13,7 +13,7 @@ from starlette.datastructures import Headers
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.errors import (
     RateLimitError,
-    TokenStoreError,
+    StorageError,
     TooManyStreamsError,
     TooManyStreamsOfOneError,
     TooManyUploadsError,
@@ -126,7 +126,7 @@ class Admission:
             UnauthorizedError: without a valid token.
             RateLimitError: too often.
             TooManyRequestsError: too many at once.
-            TokenStoreError: the tokens cannot be read.
+            StorageError: the tokens cannot be read.
         """
         caller = self._caller(headers, peer)
         self.rate.take(caller.id)
@@ -139,7 +139,7 @@ class Admission:
             return True
         try:
             self._known(self.tokens, headers)
-        except (UnauthorizedError, TokenStoreError):
+        except (UnauthorizedError, StorageError):
             return False
         return True
 

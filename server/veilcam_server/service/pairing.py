@@ -35,7 +35,7 @@ class Pairing:
 
         Raises:
             ReceiverInvalidError: it is no receiver's key.
-            ReceiverKnownError, TooManyReceiversError, ReceiverStoreError: as
+            ReceiverKnownError, TooManyReceiversError, StorageError: as
                 :meth:`ReceiverStore.add`.
         """
         return await asyncio.to_thread(self._add, question)

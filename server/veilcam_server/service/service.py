@@ -47,11 +47,11 @@ from veilcam_server.devices.simulated.images import as_scene, decoded, range_war
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
     NoReceiverError,
-    PolicyStoreError,
     ProblemError,
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
+    StorageError,
     UnsteadyLightError,
     WithheldError,
 )
@@ -305,14 +305,14 @@ class Service:
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and there is none.
-            PolicyStoreError: it cannot be made durable; the one before goes on.
+            StorageError: it cannot be made durable; the one before goes on.
         """
         async with self._setting_policy:
             before, self._camera.policy = self._camera.policy, policy
             if self._policies is not None:
                 try:
                     await asyncio.to_thread(self._policies.set, policy)
-                except PolicyStoreError:
+                except StorageError:
                     self._camera.policy = before
                     raise
         self._events.publish(partial(RotationChanged, policy=policy))

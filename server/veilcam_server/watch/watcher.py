@@ -25,7 +25,7 @@ from veilcam_client.wire.watch import (
     WatchPolicy,
 )
 from veilcam_server.camera.engine import CameraEngine, Publish
-from veilcam_server.errors import ProblemError, WatchStoreError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system.clock import MachineClock
@@ -186,15 +186,15 @@ class Watcher:
         """Change when the camera looks, also after a restart.
 
         Raises:
-            WatchStoreError: that cannot be made durable; the policy before goes on, unless the
+            StorageError: that cannot be made durable; the policy before goes on, unless the
                 camera was to be switched off: that holds until a restart.
             DisplayError: the panel does not become opaque, which is tried again.
         """
         async with self._changing:
-            unkept: WatchStoreError | None = None
+            unkept: StorageError | None = None
             try:
                 await asyncio.to_thread(self._setup.store.set, policy)
-            except WatchStoreError as error:
+            except StorageError as error:
                 if not isinstance(policy, WatchOff):
                     raise
                 unkept = error

@@ -37,7 +37,7 @@ _UPLOAD: dict[str, Any] = {
         "content": {BUNDLE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_CHANGE = (*CHANGE, "bundles_busy", "bundle_not_stored", "replaying")
+_CHANGE = (*CHANGE, "bundles_busy", "replaying")
 _USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "bundle_reveals")
 
 router = APIRouter(
@@ -63,10 +63,7 @@ async def bundles(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Respo
     status_code=201,
     dependencies=[uploads()],
     openapi_extra=_UPLOAD,
-    responses=problems(
-        *("body_too_large", "bundles_full", "too_many_uploads", *_USE),
-        *("bundle_not_stored", "replaying"),
-    ),
+    responses=problems("body_too_large", "bundles_full", "too_many_uploads", "replaying", *_USE),
 )
 async def install_bundle(service: ServiceDep, request: Request) -> InstalledBundle:
     """Take in a bundle, a `*.veilcam` file as it is. It is checked, and not used yet.

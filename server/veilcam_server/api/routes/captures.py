@@ -24,7 +24,7 @@ from veilcam_server.api.scopes import CallerDep, requires, scores_for
 from veilcam_server.security.caller import Caller
 from veilcam_server.service.service import Service
 
-_RELEASE = ("embedding_withheld", "no_receiver", "masks_spent", "release_not_recorded")
+_RELEASE = ("embedding_withheld", "no_receiver", "masks_spent")
 _REFUSALS = (*BODY, "leased", *DEVICE, "replaying", "replay_over", *_RELEASE)
 
 router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Captures"])

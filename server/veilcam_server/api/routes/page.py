@@ -73,7 +73,7 @@ _ASSET: dict[int | str, dict[str, Any]] = {
     # A name that there is not is like any other path: nobody is told without a token.
     **open_problems(
         *("invalid_request", "not_found", "unauthorized", "rate_limited", "too_many_requests"),
-        "tokens_unavailable",
+        "storage_failed",
     ),
 }
 

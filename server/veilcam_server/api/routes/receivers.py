@@ -11,7 +11,7 @@ from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receive
 from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems
 from veilcam_server.api.scopes import requires
 
-_CHANGE = (*CHANGE, "receivers_not_stored", "replaying")
+_CHANGE = (*CHANGE, "replaying")
 
 ReceiverId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
 

@@ -28,9 +28,7 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(
-        *BODY, *CHANGE, "leased", "rotation_impossible", "rotation_not_stored", "replaying"
-    ),
+    responses=problems(*BODY, *CHANGE, "leased", "rotation_impossible", "replaying"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change, also after a restart: off, every N seconds, or N captures."""

@@ -32,7 +32,6 @@ async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
         "leased",
         "calibrating",
         "display_failed",
-        "watch_not_stored",
         "replaying",
     ),
 )

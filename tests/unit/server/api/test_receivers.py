@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,6 @@ from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, AuditLog
 from veilcam_server.security.tokens import TokenStore
-from veilcam_server.system.state_file import StateFile
 
 if TYPE_CHECKING:
     import httpx
@@ -82,9 +82,9 @@ async def test_key_that_cannot_be_paired_is_refused(
         def full(*_: object) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(StateFile, "change", full)
+        monkeypatch.setattr(os, "fsync", full)
         answer = await client.delete(f"{PATH}/{KEY.public.id}")
-        assert code(answer) == (503, "receivers_not_stored")
+        assert code(answer) == (503, "storage_failed")
         assert len(bench.receivers.keys) == 8
 
 

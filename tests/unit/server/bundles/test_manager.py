@@ -31,7 +31,6 @@ from veilcam_server.errors import (
     BundleInvalidError,
     BundlesBusyError,
     BundlesFullError,
-    BundleStoreError,
     NotReadyError,
     ProblemError,
     StateLostError,
@@ -225,14 +224,15 @@ async def test_change_that_cannot_be_made_durable_is_rolled_back(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch, bundle: Bundle
 ) -> None:
     def refuse(*_: object) -> None:
-        raise BundleStoreError("the disk is gone")
+        raise OSError(5, "Input/output error")
 
     bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running() as client:
         before = await active(client)
         installed = await install(client, data)
-        monkeypatch.setattr(BundleStore, "commit", refuse)
-        assert code(await activate(client, installed.digest)) == "bundle_not_stored"
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", refuse)
+            assert code(await activate(client, installed.digest)) == "storage_failed"
         assert await active(client) == before
         assert (await label(client)).label == expected(bundle, bench)
 
@@ -393,7 +393,7 @@ async def test_full_disk_leaves_nothing_behind(
         monkeypatch.setattr(os, "fsync", full)
         answer = await upload(client, data)
         monkeypatch.undo()
-        assert code(answer) == "bundle_not_stored"
+        assert code(answer) == "storage_failed"
         assert "No space left" in answer.json()["detail"]
     assert list((bench.state_dir / "bundles").iterdir()) == []
 
@@ -423,7 +423,7 @@ class Restarts:
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
         with closing(store.stage(self.digests[number], self.digests[before], Used())) as staged:
-            store.commit(staged)
+            staged.commit()
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,7 +26,6 @@ from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
     BundleOlderError,
-    BundleStoreError,
     BundleUntrustedError,
     ProblemError,
     StartError,
@@ -211,7 +211,7 @@ class Starts:
         used = self.owners.remember(keys.info, store.used)
         before = store.candidates()[0]
         with closing(store.stage(bundle.digest, before, used)) as staged:
-            store.commit(staged)
+            staged.commit()
         return store.path(bundle.digest)
 
 
@@ -305,12 +305,14 @@ def test_start_that_cannot_be_remembered_is_said(
     starts: Starts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
-        raise BundleStoreError("the disk is full")
+        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(BundleStore, "commit", full)
-    version, (fault,) = starts.start(starts.file(3))
+    path = starts.file(3)
+    monkeypatch.setattr(os, "fsync", full)
+    version, (fault,) = starts.start(path)
     assert version == 3
-    assert fault == "which bundle is in use is not remembered: the disk is full"
+    assert fault.startswith("which bundle is in use is not remembered: ")
+    assert "No space left" in fault
 
 
 @pytest.mark.parametrize(

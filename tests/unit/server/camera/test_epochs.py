@@ -28,8 +28,8 @@ from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import (
     MasksSpentError,
     NoReceiverError,
-    ReleaseNotRecordedError,
     SelfTestError,
+    StorageError,
     WithheldError,
 )
 from veilcam_server.masks.fresh import FreshReader, FreshSource
@@ -655,11 +655,11 @@ def test_embedding_whose_count_cannot_be_written_stays(
     camera = bench.camera()
 
     def full(*_: object) -> None:
-        raise ReleaseNotRecordedError("the disk is full")
+        raise StorageError("the disk is full")
 
     with monkeypatch.context() as patched:
         patched.setattr(ReleaseBudget, "_record", full)
-        with pytest.raises(ReleaseNotRecordedError):
+        with pytest.raises(StorageError):
             camera.capture(release=True)
     assert active(camera)._uses == 0
     assert camera.capture(release=True).form == "raw"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
@@ -17,12 +18,11 @@ from veilcam_server.errors import (
     ProblemError,
     ReceiverInvalidError,
     ReceiverKnownError,
-    ReceiverStoreError,
+    StorageError,
     TooManyReceiversError,
     UnknownReceiverError,
 )
 from veilcam_server.sealing.receivers import NAME, ReceiverStore, parse_receiver
-from veilcam_server.system.state_file import StateFile
 
 
 def some(count: int) -> list[Receiver]:
@@ -120,9 +120,9 @@ def test_receiver_that_the_disk_does_not_take_is_not_acknowledged(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as full:
-        full.setattr(StateFile, "change", refuse)
+        full.setattr(os, "fsync", refuse)
         for change in (lambda: store.add("lamp", second), lambda: store.remove(first.id)):
-            with pytest.raises(ReceiverStoreError, match="No space left"):
+            with pytest.raises(StorageError, match="No space left"):
                 change()
             assert store.keys == (first,)
     assert store.add("lamp", second).id == second.id
