@@ -13,9 +13,8 @@ from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bund
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
-    BundleInvalidError,
-    BundlesBusyError,
-    BundleUnfitError,
+    BundleRefusedError,
+    ProblemError,
     StorageError,
 )
 
@@ -60,10 +59,9 @@ class BundleManager:
         """Take in a bundle; it is checked, and not used.
 
         Raises:
-            BundleInvalidError, BundleUnfitError: it cannot be used here.
-            BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
-            BundleRevealsError: its masks show pictures of the scene.
-            BundlesFullError, StorageError: it cannot be stored now.
+            BundleRefusedError: it cannot be used here, is no owner's, or shows the scene.
+            BundleOlderError: it is not of a higher version.
+            ProblemError, StorageError: it cannot be stored now.
         """
         with self._store.incoming() as (path, stream):
             async for chunk in chunks:
@@ -87,10 +85,9 @@ class BundleManager:
 
         Raises:
             UnknownBundleError: there is none of this digest.
-            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
-            BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
-            BundleRevealsError: its masks show pictures of the scene.
-            StorageError, BundlesBusyError: it cannot be made durable now.
+            BundleRefusedError: it cannot be used (any more), is no owner's, or shows the scene.
+            BundleOlderError: it is older and may not be.
+            StorageError, ProblemError: it cannot be made durable now.
         """
         async with self._alone():
             before = self._keys
@@ -120,7 +117,7 @@ class BundleManager:
             change: makes the camera use the keys; what it raises leaves everything as it is.
 
         Raises:
-            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
+            BundleRefusedError: it cannot be used (any more).
         """
         async with self._changing:
             digest, opener = self._keys.info.digest, self._opener.with_source(open_source)
@@ -167,13 +164,16 @@ class BundleManager:
     def _look(self, digest: str) -> BundleInfo | None:
         try:
             bundle = self._opener.read(self._store.path(digest))
-        except (BundleInvalidError, BundleUnfitError):
+        except BundleRefusedError:
             return None
         return bundle_info(bundle) if bundle.digest == digest else None
 
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         if self._changing.locked():
-            raise BundlesBusyError
+            raise ProblemError(
+                "too_many_requests",
+                "another change of bundles is under way: try again when it is done",
+            )
         async with self._changing:
             yield

@@ -22,8 +22,7 @@ from pydantic import BaseModel, ConfigDict
 from veilcam_optics.files import sync_folder
 from veilcam_server.bundles.owners import Used
 from veilcam_server.errors import (
-    BundleInUseError,
-    BundlesFullError,
+    ProblemError,
     StorageError,
     UnknownBundleError,
 )
@@ -120,7 +119,7 @@ class BundleStore:
             return self._given
         path = self._path(digest)
         if not (_DIGEST.fullmatch(digest) and path.is_file()):
-            raise UnknownBundleError
+            raise UnknownBundleError("there is no bundle of this digest: see GET /v1/bundles")
         return path
 
     @contextmanager
@@ -128,7 +127,7 @@ class BundleStore:
         """Yield a new file, and its path, that is gone afterwards unless it was installed.
 
         Raises:
-            BundlesFullError: there are too many already.
+            ProblemError: there are too many already.
             StorageError: the disk refuses.
         """
         self._require_room()
@@ -144,7 +143,7 @@ class BundleStore:
         """Move a whole and checked file into its place.
 
         Raises:
-            BundlesFullError: others came meanwhile, and there are too many now.
+            ProblemError: others came meanwhile, and there are too many now.
             StorageError: the disk refuses.
         """
         if digest == self.configured:
@@ -162,12 +161,14 @@ class BundleStore:
 
         Raises:
             UnknownBundleError: there is none of this digest.
-            BundleInUseError: it is the active or the configured one.
+            ProblemError: it is the active or the configured one.
             StorageError: the disk refuses.
         """
         path = self.path(digest)
         if digest in (active, self.configured):
-            raise BundleInUseError
+            raise ProblemError(
+                "conflict", "this bundle is in use, or the daemon was started with it: it stays"
+            )
         with _durable():
             path.unlink()
             sync_folder(self._directory)
@@ -208,7 +209,7 @@ class BundleStore:
 
     def _require_room(self) -> None:
         if len(self.digests()) > CAPACITY:
-            raise BundlesFullError(CAPACITY)
+            raise ProblemError("conflict", f"{CAPACITY} bundles are installed: remove one first")
 
     def _temporary(self) -> tuple[int, str]:
         make_directory(self._directory)

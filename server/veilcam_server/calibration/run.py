@@ -9,7 +9,7 @@ from collections.abc import Callable
 from veilcam_client.wire.calibration import CalibrationRun, SceneName, Stage
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.rig import CalibrationScene
-from veilcam_server.errors import CalibrationError, SceneNotWantedError
+from veilcam_server.errors import CalibrationError, ProblemError
 
 PATIENCE = 600.0
 """Longest wait for somebody to set a scene; the camera takes no captures meanwhile [s]."""
@@ -52,11 +52,14 @@ class Run:
         """How far it is."""
 
     def confirm(self, scene: SceneName) -> CalibrationRun:
-        """Go on, as a scene is set; raises :class:`SceneNotWantedError` if it is another one."""
+        """Go on, as a scene is set; raises :class:`ProblemError` if it is another one."""
         with self._lock:
             wanted = self.state.scene if self.state.stage == "waiting" else None
             if scene != wanted:
-                raise SceneNotWantedError(scene, wanted)
+                what = "no scene is" if wanted is None else f"the scene {wanted!r} is"
+                raise ProblemError(
+                    "conflict", f"{what} waited for, not {scene!r}: see GET /v1/calibration"
+                )
             self.enter("measuring", scene)
         self._confirmed.put(None)
         return self.state

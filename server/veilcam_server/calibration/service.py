@@ -41,9 +41,7 @@ from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
-    CalibratingError,
     CalibrationError,
-    NotCalibratingError,
     NotReadyError,
     ProblemError,
 )
@@ -192,9 +190,9 @@ class CalibrationService:
         )
 
     def require_idle(self) -> None:
-        """Raise :class:`CalibratingError` while a calibration is under way."""
+        """Raise :class:`NotReadyError` while a calibration is under way."""
         if self._task is not None and not self._task.done():
-            raise CalibratingError
+            raise NotReadyError("the camera is being calibrated: see GET /v1/calibration")
 
     async def start(self, repeats: int) -> CalibrationRun:
         """Begin to measure the camera that is served.
@@ -204,8 +202,7 @@ class CalibrationService:
 
         Raises:
             CalibrationError: this camera cannot be measured, or no record be kept.
-            CalibratingError: it is being measured.
-            NotReadyError: the daemon is stopping.
+            NotReadyError: it is being measured, or the daemon is stopping.
         """
         served = self._served
         if served is None:
@@ -226,8 +223,7 @@ class CalibrationService:
         """Go on: the scene that is waited for is there.
 
         Raises:
-            NotCalibratingError: no calibration is under way.
-            SceneNotWantedError: another scene is waited for, or none.
+            ProblemError: no calibration is under way, or another scene is waited for.
         """
         return self._under_way().confirm(scene)
 
@@ -235,7 +231,7 @@ class CalibrationService:
         """End the calibration under way, and wait until the camera is back.
 
         Raises:
-            NotCalibratingError: there is none.
+            ProblemError: there is none.
         """
         run = self._under_way()
         await self.close()
@@ -249,7 +245,9 @@ class CalibrationService:
 
     def _under_way(self) -> Run:
         if self._run is None or self._task is None or self._task.done():
-            raise NotCalibratingError
+            raise ProblemError(
+                "conflict", "no calibration is under way: begin one with POST /v1/calibration"
+            )
         return self._run
 
     async def _calibrate(self, served: Served, run: Run) -> None:

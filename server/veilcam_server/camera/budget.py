@@ -15,6 +15,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
 from veilcam_client.wire.sealing import Release
+from veilcam_server.errors import ProblemError
 from veilcam_server.masks.source import Mask
 from veilcam_server.system.state_file import Report, StateStore, log_fault
 
@@ -91,3 +92,29 @@ class ReleaseBudget:
             return _Released(counts=counts)
 
         self._counts = dict(self._file.change(counted).counts)
+
+
+def withheld() -> ProblemError:
+    """Return the refusal of a daemon that releases no embeddings."""
+    return ProblemError(
+        "embedding_withheld",
+        "this daemon releases no embeddings: ask for a classification, pair a receiver with "
+        "'veilcam receiver add', or start it with --release",
+    )
+
+
+def nobody_receives() -> ProblemError:
+    """Return the refusal of a sealed embedding that nobody could open."""
+    return ProblemError(
+        "embedding_withheld",
+        "embeddings leave sealed, and no receiver is paired: pair one with 'veilcam receiver add'",
+    )
+
+
+def masks_spent() -> ProblemError:
+    """Return the refusal where the budget of all masks is used up."""
+    return ProblemError(
+        "masks_spent",
+        "as many embeddings left behind every mask of this bundle as may: labels go on; install "
+        "another bundle for more",
+    )

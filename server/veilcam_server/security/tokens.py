@@ -15,7 +15,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
-from veilcam_server.errors import StartError, StorageError, UnauthorizedError, UnknownTokenError
+from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
 from veilcam_server.security.caller import Caller
 from veilcam_server.system.state_file import (
     Report,
@@ -152,7 +152,7 @@ class TokenStore:
         """Let a token do nothing any more; one that was revoked before stays so.
 
         Raises:
-            UnknownTokenError: there is none of this id.
+            ProblemError: there is none of this id.
             StorageError: it cannot be written.
         """
         now = self.now()
@@ -161,8 +161,9 @@ class TokenStore:
             rows = _current(held, now)
             row = rows.get(token_id)
             if row is None:
-                raise UnknownTokenError(
-                    "there is no token of this id: 'veilcamd token list' names them all"
+                raise ProblemError(
+                    "not_found",
+                    "there is no token of this id: 'veilcamd token list' names them all",
                 )
             if row.revoked is None:
                 rows[token_id] = row.model_copy(update={"revoked": now})

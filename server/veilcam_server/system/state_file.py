@@ -23,8 +23,6 @@ from veilcam_optics.files import sync_folder
 from veilcam_server.errors import (
     ProblemError,
     StartError,
-    StateDamagedError,
-    StateLostError,
     StorageError,
 )
 from veilcam_server.system.state_folder import (
@@ -122,7 +120,7 @@ class StateStore(Generic[StateT]):
     @property
     def lost(self) -> bool:
         """True where the last :meth:`read` found no whole copy of two."""
-        return self._told == StateLostError.code
+        return self._told == "state_lost"
 
     def read(self) -> StateT | None:
         """Return the record that was written last; None if there is none, or none is whole.
@@ -258,14 +256,13 @@ class StateStore(Generic[StateT]):
         if not told or not (self._written() or any(copy.fault != "is gone" for copy in copies)):
             return
         what = " and ".join(f"{copy.path.name} {copy.fault}" for copy in told)
-        fault: ProblemError
         if len(told) < len(copies):
             end = "was put right" if repaired else "cannot be put right now: check the disk"
-            fault = StateDamagedError(f"{what}: its other copy is used, and it {end}")
+            fault = ProblemError("state_damaged", f"{what}: its other copy is used, and it {end}")
         else:
             kept = [_aside(copy.path).name for copy in told if _aside(copy.path).exists()]
             rest = f"; what was left is in {' and '.join(kept)}" if kept else ""
-            fault = StateLostError(f"{what}: {self._lost}{rest}")
+            fault = ProblemError("state_lost", f"{what}: {self._lost}{rest}")
         # A loss stays until the next change, which need not tell of it again.
         if fault.code != self._told:
             self._report(fault)

@@ -22,8 +22,6 @@ from tests.unit.server.damage import DAMAGES, flip
 from veilcam_server.errors import (
     ProblemError,
     StartError,
-    StateDamagedError,
-    StateLostError,
     StorageError,
 )
 from veilcam_server.system import state_file
@@ -104,7 +102,7 @@ def test_one_damaged_copy_is_put_right_and_told_of(
     damage(rig.path.with_name(name))
     assert rig.read() == Note(text="new")
     (fault,) = rig.faults
-    assert isinstance(fault, StateDamagedError)
+    assert isinstance(fault, ProblemError)
     what = "is gone" if damage is DAMAGES["removed"] else "is damaged"
     assert str(fault) == f"{name} {what}: its other copy is used, and it was put right"
     assert rig.path.read_bytes() == rig.copy.read_bytes()
@@ -122,7 +120,7 @@ def test_two_damaged_copies_are_lost_and_that_is_told(rig: Rig, first: str, seco
     opened = rig.open()
     assert opened.read() is None
     (fault,) = rig.faults
-    assert isinstance(fault, StateLostError)
+    assert isinstance(fault, ProblemError)
     assert "note.json " in str(fault)
     assert "note.json.copy " in str(fault)
     assert "nothing is known" in str(fault)
@@ -435,7 +433,7 @@ def test_record_that_is_being_changed_is_read_without_waiting(rig: Rig) -> None:
 
 def test_faults_are_logged_where_nobody_takes_them(rig: Rig) -> None:
     with capture_logs() as logs:
-        log_fault(StateLostError("gone"))
+        log_fault(ProblemError("state_lost", "gone"))
     entry = {"event": "fault", "log_level": "warning", "remedy": "check_disk"}
     assert logs == [{**entry, "code": "state_lost", "detail": "gone"}]
 

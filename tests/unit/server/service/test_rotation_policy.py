@@ -114,7 +114,7 @@ def test_lone_mask_stays_and_no_start_is_refused_for_the_state(rig: Rig) -> None
 
 def test_lone_mask_in_use_under_a_lost_policy_stays(rig: Rig) -> None:
     assert rig.start(OFTEN, renewable=False, configured=False) == OFF
-    assert [fault.code for fault in rig.faults] == ["rotation_impossible"]
+    assert [fault.code for fault in rig.faults] == ["conflict"]
     assert rig.start(OFTEN, renewable=True, configured=False) == OFTEN
 
 
