@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from veilcam_server.errors import ProblemError
+from veilcam_server.errors import PROBLEMS
 from veilcam_server.settings import PREFIX, Settings
 from veilcam_training.bundle.manifest import Manifest
 
@@ -94,12 +94,6 @@ def settings_page() -> str:
 
 def errors_page() -> str:
     """Every problem code of the daemon."""
-    import_module("veilcam_server.daemon")  # whatever it can say is known then
-
-    kinds: dict[str, type[ProblemError]] = {}
-    for kind in _below(ProblemError):
-        if hasattr(kind, "code"):
-            kinds.setdefault(kind.code, kind)
     lines = [
         GENERATED,
         "# Errors by code\n",
@@ -108,18 +102,10 @@ def errors_page() -> str:
         "beside it.\n",
         "| code | status | what it means | what helps | again |\n|---|---|---|---|---|",
     ]
-    for code in sorted(kinds):
-        kind = kinds[code]
-        remedy = str(kind.remedy).replace("_", " ")
-        again = "yes" if kind.retryable else "no"
+    for code, kind in sorted(PROBLEMS.items()):
+        remedy, again = kind.remedy.replace("_", " "), "yes" if kind.retryable else "no"
         lines.append(f"| `{code}` | {kind.status} | {_cell(kind.title)} | {remedy} | {again} |")
     return "\n".join(lines) + "\n"
-
-
-def _below(kind: type[Any]) -> Iterator[type[Any]]:
-    for inner in kind.__subclasses__():
-        yield inner
-        yield from _below(inner)
 
 
 def bundle_page() -> str:

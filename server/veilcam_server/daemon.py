@@ -41,9 +41,7 @@ from veilcam_server.doctor.checkup import examine_beside
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import (
     BundleOlderError,
-    BundleRevealsError,
-    BundleUnfitError,
-    BundleUntrustedError,
+    BundleRefusedError,
     ProblemError,
     RotationImpossibleError,
     StartError,
@@ -133,8 +131,8 @@ def build_service(settings: Settings) -> Service:
             _begin(camera, watch.rests)
             undo.pop_all()
     except (
-        *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(BundleRevealsError, DeviceError, RotationImpossibleError),
+        *(BundleError, BundleRefusedError, BundleOlderError),
+        *(DeviceError, RotationImpossibleError),
     ) as error:
         raise StartError(str(error)) from error
     note_start(store, opener, keys, faults.append)

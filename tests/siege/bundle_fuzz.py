@@ -30,7 +30,7 @@ from tests.siege.samples import fresh_bundle, small_bundle, written
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.rotation import RotationOff
 from veilcam_server.bundles.loader import Opener
-from veilcam_server.errors import BundleInvalidError, BundleUnfitError, InferenceError
+from veilcam_server.errors import BundleRefusedError, InferenceError
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
@@ -70,7 +70,7 @@ def try_one(path: Path, openers: Sequence[Opener]) -> str:
         try:
             bundle = opener.read(path)
             opener.load(bundle)
-        except (BundleInvalidError, BundleUnfitError) as error:
+        except BundleRefusedError as error:
             reason = str(error)
             if not reason or "\n" in reason or str(path) in reason or len(reason) > 2000:
                 raise RuntimeError("a reason that is none") from None

@@ -49,7 +49,7 @@ class Ledger:
         if self.key is not None:
             key, asked = self.key
             repeated = await address.ask("POST", ADVANCE, headers={KEY: key})
-            known = repeated.status == 409 and repeated.json()["code"] == "done_before_restart"
+            known = repeated.status == 409 and repeated.json()["code"] == "answer_lost"
             # A busy machine may take longer than a key is remembered, in whole seconds.
             self._keep("idempotency key", known or time.monotonic() - asked > LIFETIME - 2)
         self._keep("receivers of an epoch", await self._sealed_to(address, life) in (None, paired))

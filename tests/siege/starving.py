@@ -191,5 +191,5 @@ async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
     same = first.status == again.status == 200 and first.json()["id"] == again.json()["id"]
     judgement.holds(f"the same capture after {OTHER_KEYS} other keys", true=same)
     code = after.json().get("code") if after.status == 409 else after.status
-    known = code == "done_before_restart"
-    judgement.holds(f"done_before_restart after a restart ({code})", true=known)
+    known = code == "answer_lost"
+    judgement.holds(f"answer_lost after a restart ({code})", true=known)

@@ -21,7 +21,7 @@ MISSED = {
     "sockets-spread": ["left of"],
     "streams": ["streams of others that hear"],
     "upload": ["another uploads", "is dropped"],
-    "keys": ["the same capture", "done_before_restart"],
+    "keys": ["the same capture", "answer_lost"],
     "state": [
         *("starts refused", "silent roll-backs", "epochs shown again"),
         "embeddings beyond the budget",

@@ -216,13 +216,13 @@ EXAMPLES = Examples(
             faults=(
                 PastFault(
                     at=EXAMPLE_TIME,
-                    code="sensor_timeout",
+                    code="sensor_failed",
                     detail="no frame in 5 s",
                     remedy="check_camera_cable",
                 ),
             ),
             events={"capture": 1200, "mask": 120},
-            fault_counts={"sensor_timeout": 1},
+            fault_counts={"sensor_failed": 1},
             audit_lost=0,
         ),
     )

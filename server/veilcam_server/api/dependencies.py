@@ -11,8 +11,8 @@ from fastapi import Depends, Header, Request
 from fastapi.openapi.constants import REF_PREFIX
 
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
-from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.api.scopes import CallerDep
+from veilcam_server.errors import PROBLEMS
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
@@ -31,27 +31,27 @@ ALWAYS = (
     *OPEN,
     "unauthorized",
     "forbidden",
-    "rate_limited",
     "too_many_requests",
-    "tokens_unavailable",
+    "too_many_requests",
+    "storage_failed",
 )
 """What every route that wants a token can answer with."""
-KEYED = ("idempotency_key_reused", "done_before_restart", "answer_not_kept", "too_many_keys")
+KEYED = ("idempotency_key_reused", "answer_lost", "answer_lost", "too_many_requests")
 """What a route that takes an ``Idempotency-Key`` can answer with besides."""
 BODY = ("body_too_large", "invalid_request", *KEYED)
 """What a route with a body can answer with besides."""
-CHANGE = ("audit_not_written",)
+CHANGE = ("storage_failed",)
 """What a route can answer with besides that makes a change which outlives the daemon."""
 DEVICE = (
     "queue_full",
-    "calibrating",
+    "not_ready",
     "not_ready",
     "not_looking",
-    "rotation_impossible",
+    "conflict",
     "display_failed",
     "sensor_failed",
-    "sensor_timeout",
-    "fence_violated",
+    "sensor_failed",
+    "sensor_failed",
     "panel_not_hiding",
     "light_unsteady",
 )

@@ -20,13 +20,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.problems import (
-    DefectError,
-    UnsupportedMediaTypeError,
-    error_response,
-    problem_response,
-)
-from veilcam_server.errors import AuditError, ProblemError
+from veilcam_server.api.problems import error_response, problem_response
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.headers import call_header, security_headers
 from veilcam_server.system.logs import log_defect
@@ -53,7 +48,7 @@ class Body:
     required: bool = False
 
     def require_media_type(self, headers: Headers) -> None:
-        """Raise :class:`UnsupportedMediaTypeError` unless the body has one of the media types.
+        """Raise :class:`ProblemError` unless the body has one of the media types.
 
         A page of another site can make a browser send text and forms without asking first; none of
         these types is among them (https://fetch.spec.whatwg.org/#cors-safelisted-request-header).
@@ -62,7 +57,10 @@ class Body:
         empty = not length and "transfer-encoding" not in headers
         given = headers.get("content-type", "").partition(";")[0].strip().lower()
         if (self.required or not empty) and given not in self.media_types:
-            raise UnsupportedMediaTypeError(self.media_types)
+            raise ProblemError(
+                "unsupported_media_type",
+                f"send it with Content-Type: {' or '.join(self.media_types)}",
+            )
 
 
 @dataclass(slots=True)
@@ -143,7 +141,7 @@ class RequestContext:
                 raise
             response = problem_response(
                 scope,
-                DefectError,
+                "internal_error",
                 "the daemon has a defect: its log tells more under this request id",
             )
             await response(scope, receive, send_with_id)
@@ -184,7 +182,7 @@ class RequestContext:
                 return  # the rest of what is not answered
             try:
                 await give(message)
-            except AuditError as error:
+            except StorageError as error:
                 answer.refused = True
                 await error_response(scope, error)(scope, receive, give)
 
@@ -201,7 +199,7 @@ class RequestContext:
         """Note everything but what was only read; who watches the events learns what is seen.
 
         Raises:
-            AuditError: a change cannot be noted.
+            StorageError: a change cannot be noted.
         """
         path, state = scope["path"], scope["state"]
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"

@@ -17,8 +17,9 @@ from veilcam_client.wire import events
 from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_server.api import metrics
-from veilcam_server.api.problems import PROBLEMS, example_of
+from veilcam_server.api.problems import example_of
 from veilcam_server.api.samples import code_samples
+from veilcam_server.errors import PROBLEMS
 
 TAGS: Mapping[str, str] = {
     "Captures": "Embeddings and labels, one look at a time.",

@@ -16,85 +16,14 @@ from starlette.types import Scope
 
 from veilcam_client.errors import FieldError
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
-from veilcam_server import errors as daemon_errors
-from veilcam_server.devices import errors as device_errors
-from veilcam_server.errors import ProblemError, UnauthorizedError
+from veilcam_server.errors import PROBLEMS, ProblemError, ProblemKind
 
-
-class BadRequestError(
-    ProblemError, code="bad_request", status=400, title="The request cannot be read"
-):
-    """A request that is no HTTP or no JSON."""
-
-
-class NotFoundError(
-    ProblemError, code="not_found", status=404, title="There is nothing at this path"
-):
-    """A path of no route."""
-
-
-class MethodNotAllowedError(
-    ProblemError,
-    code="method_not_allowed",
-    status=405,
-    title="This path does not take this method",
-):
-    """A method that no route of this path has."""
-
-
-class NotAcceptableError(
-    ProblemError,
-    code="not_acceptable",
-    status=406,
-    title="None of the accepted media types can be given",
-):
-    """Media types that are not offered."""
-
-
-class BodyTooLargeError(
-    ProblemError, code="body_too_large", status=413, title="The body is too large"
-):
-    """More bytes than the route takes."""
-
-
-class UnsupportedMediaTypeError(
-    ProblemError,
-    code="unsupported_media_type",
-    status=415,
-    title="The body's media type is not taken here",
-):
-    """A body that is not said to be what the route takes."""
-
-    def __init__(self, taken: tuple[str, ...]) -> None:
-        super().__init__(f"send it with Content-Type: {' or '.join(taken)}")
-
-
-class InvalidRequestError(
-    ProblemError, code="invalid_request", status=422, title="The request is not valid"
-):
-    """Fields that are missing, unknown or out of range."""
-
-
-class DefectError(ProblemError, code="internal_error", status=500, title="The daemon has a defect"):
-    """An error that nobody foresaw."""
-
-
-_OF_HTTP = {
-    kind.status: kind
-    for kind in (BadRequestError, NotFoundError, MethodNotAllowedError, BodyTooLargeError)
-}
+_OF_HTTP = {400: "bad_request", 404: "not_found", 405: "method_not_allowed", 413: "body_too_large"}
 """What Starlette, FastAPI and the middleware raise by its status alone."""
-PROBLEMS: Mapping[str, type[ProblemError]] = {
-    kind.code: kind
-    for namespace in (vars(daemon_errors), vars(device_errors), globals())
-    for kind in tuple(namespace.values())
-    if isinstance(kind, type) and issubclass(kind, ProblemError) and "code" in vars(kind)
-}
-"""Every kind by its code."""
 
 
 def _problem(
-    kind: type[ProblemError],
+    kind: ProblemKind,
     detail: str,
     *,
     instance: str,
@@ -116,15 +45,15 @@ def _problem(
 
 def problem_response(
     scope: Scope,
-    kind: type[ProblemError],
+    code: str,
     detail: str,
     *,
     errors: tuple[FieldError, ...] = (),
     headers: Mapping[str, str] | None = None,
 ) -> Response:
     """Return the answer to the request of ``scope``, and leave the code for the audit log."""
-    state = scope["state"]
-    state["problem"] = kind.code
+    kind, state = PROBLEMS[code], scope["state"]
+    state["problem"] = code
     problem = _problem(
         kind, detail, instance=scope["path"], request_id=state["request_id"], errors=errors
     )
@@ -139,11 +68,11 @@ def problem_response(
 def error_response(scope: Scope, error: ProblemError) -> Response:
     """Return the answer to the request of ``scope``, at which the daemon failed."""
     headers = {}
-    if error.retryable:
+    if error.kind.retryable:
         headers["Retry-After"] = str(error.retry_after)
-    if isinstance(error, UnauthorizedError):
+    if error.code == "unauthorized":
         headers["WWW-Authenticate"] = 'Bearer realm="veilcam"'
-    return problem_response(scope, type(error), str(error), headers=headers)
+    return problem_response(scope, error.code, str(error), headers=headers)
 
 
 def example_of(code: str) -> dict[str, object]:
@@ -159,14 +88,14 @@ async def _on_error(request: Request, error: ProblemError) -> Response:
 
 
 async def _on_http(request: Request, error: HTTPException) -> Response:
-    kind = _OF_HTTP.get(error.status_code, BadRequestError)
+    code = _OF_HTTP.get(error.status_code, "bad_request")
     detail = str(error.detail)
     if detail == HTTPStatus(error.status_code).phrase:
-        detail = f"{request.method} {request.url.path}: {kind.title.lower()}"
+        detail = f"{request.method} {request.url.path}: {PROBLEMS[code].title.lower()}"
     headers = dict(error.headers or {})
-    if kind is MethodNotAllowedError:
+    if code == "method_not_allowed":
         headers["Allow"] = ", ".join(_methods(request))
-    return problem_response(request.scope, kind, detail, headers=headers)
+    return problem_response(request.scope, code, detail, headers=headers)
 
 
 def _methods(request: Request) -> list[str]:
@@ -189,7 +118,7 @@ async def _on_invalid(request: Request, error: RequestValidationError) -> Respon
         for item in error.errors()
     )
     detail = "; ".join(f"{item.location}: {item.message}" for item in errors)
-    return problem_response(request.scope, InvalidRequestError, detail, errors=errors)
+    return problem_response(request.scope, "invalid_request", detail, errors=errors)
 
 
 HANDLERS: dict[int | type[Exception], Callable[[Request, Any], Coroutine[Any, Any, Response]]] = {

@@ -15,7 +15,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.conditioning import ConditioningMeter
-from veilcam_server.errors import BundleRevealsError
+from veilcam_server.errors import BundleRefusedError
 from veilcam_training.bundle import Bundle, shows
 from veilcam_training.hiding.eye import Eye
 
@@ -36,13 +36,13 @@ class HidingCheck:
     allow: bool = False
 
     def __call__(self, bundle: Bundle) -> None:
-        """Raise :class:`BundleRevealsError` for a mask that shows pictures; it is not described."""
+        """Raise :class:`BundleRefusedError` for a mask that shows pictures; it is not described."""
         try:
             _check_blur(bundle)
             _check_eye(bundle)
         except OpticsError as error:
-            raise BundleRevealsError(f"a mask cannot be measured: {error}") from None
-        except BundleRevealsError as error:
+            raise BundleRefusedError(f"a mask cannot be measured: {error}") from None
+        except BundleRefusedError as error:
             if not self.allow:
                 raise
             log.warning("bundle taken all the same", reason=str(error))
@@ -53,7 +53,7 @@ def _check_blur(bundle: Bundle) -> None:
     for number, weights in enumerate(_masks(bundle)):
         found = meter.directions(weights)
         if found < LEAST:
-            raise BundleRevealsError(
+            raise BundleRefusedError(
                 f"mask {number} shows pictures of the scene, out of focus (directions: {found:.2f} "
                 f"of a random mask's, and {LEAST:g} is the least): train another"
             )
@@ -73,8 +73,8 @@ def _check_eye(bundle: Bundle) -> None:
             raise _shown(number, seen, eye.random)
 
 
-def _shown(number: int, seen: float, random: float) -> BundleRevealsError:
-    return BundleRevealsError(
+def _shown(number: int, seen: float, random: float) -> BundleRefusedError:
+    return BundleRefusedError(
         f"mask {number} shows pictures of the scene (an eye picks {100 * seen:.0f} % of scenes out "
         f"of a hundred, and {100 * random:.0f} % behind random masks): train another"
     )

@@ -15,13 +15,10 @@ from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
-    BundleInvalidError,
     BundleOlderError,
-    BundleRevealsError,
-    BundleStoreError,
-    BundleUnfitError,
-    BundleUntrustedError,
+    BundleRefusedError,
     StartError,
+    StorageError,
     UnknownBundleError,
 )
 from veilcam_server.masks.fresh import FreshSource
@@ -177,10 +174,6 @@ class LoadedBundle:
     source: MaskSource = field(repr=False)
 
 
-_UNUSABLE = (
-    *(UnknownBundleError, BundleInvalidError, BundleUnfitError),
-    *(BundleUntrustedError, BundleRevealsError),
-)
 OpenSource = Callable[[Bundle], MaskSource]
 
 
@@ -212,18 +205,17 @@ class Opener:
         """Read a bundle that fits this camera.
 
         Raises:
-            BundleInvalidError: it cannot be read, or it is not a whole bundle.
-            BundleUnfitError: it is for another camera, or of another mode.
+            BundleRefusedError: it is damaged, for another camera, or of another mode.
         """
         try:
             bundle = read_bundle(path)
         except BundleError as error:
             # Where the daemon keeps its files is nobody's business.
             reason = str(error).removeprefix(f"{path}: ")
-            raise BundleInvalidError(f"this bundle cannot be used: {reason}") from None
+            raise BundleRefusedError(f"this bundle cannot be used: {reason}") from None
         for name in ("mode", "camera", "scene", "embedding", "channels"):
             if getattr(bundle, name) != getattr(self._configured, name):
-                raise BundleUnfitError(
+                raise BundleRefusedError(
                     f"this bundle is for another {name}: start the daemon with it, as --bundle"
                 )
         return bundle
@@ -238,8 +230,7 @@ class Opener:
         """Refuse a bundle that may not be used, though it fits.
 
         Raises:
-            BundleUntrustedError: no owner signed it.
-            BundleRevealsError: its masks show pictures of the scene.
+            BundleRefusedError: no owner signed it, or its masks show pictures of the scene.
         """
         self.owners.check(bundle)
         self._check_hiding(bundle)
@@ -248,15 +239,15 @@ class Opener:
         """Open the bundle of this digest; raises as :meth:`take`."""
         bundle = self.take(path)
         if bundle.digest != digest:
-            raise BundleInvalidError("this bundle was changed on the disk: install it again")
+            raise BundleRefusedError("this bundle was changed on the disk: install it again")
         return self.load(bundle)
 
     def load(self, bundle: Bundle) -> LoadedBundle:
-        """Open the source of a bundle's masks; raises :class:`BundleUnfitError`."""
+        """Open the source of a bundle's masks; raises :class:`BundleRefusedError`."""
         try:
             return LoadedBundle(bundle_info(bundle), self._open_source(bundle))
         except (StartError, BundleError) as error:
-            raise BundleUnfitError(str(error)) from None
+            raise BundleRefusedError(str(error)) from None
 
 
 def last_good(
@@ -279,8 +270,7 @@ def last_good(
         allow_older: may be older than the one in use before.
 
     Raises:
-        BundleUnfitError, BundleUntrustedError, BundleRevealsError: the configured one cannot be
-            used.
+        BundleRefusedError: the configured one cannot be used.
         BundleOlderError: the configured one is new to this daemon, and older.
     """
     opener.check(configured)
@@ -296,10 +286,10 @@ def last_good(
             if not store.goes_on:
                 raise
             older.append(keys)
-        except _UNUSABLE as error:
+        except (UnknownBundleError, BundleRefusedError) as error:
             if digest == store.configured and not older:
                 raise
-            report(BundleInvalidError(f"bundle {digest[:12]} is not in use any more: {error}"))
+            report(BundleRefusedError(f"bundle {digest[:12]} is not in use any more: {error}"))
         else:
             if said:
                 report(_is_older(keys))
@@ -331,5 +321,5 @@ def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: R
         return
     try:
         store.settle(digest, opener.owners.remember(keys.info, store.used))
-    except BundleStoreError as error:
-        report(BundleStoreError(f"which bundle is in use is not remembered: {error}"))
+    except StorageError as error:
+        report(StorageError(f"which bundle is in use is not remembered: {error}"))

@@ -13,11 +13,9 @@ from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bund
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
-    BundleInvalidError,
-    BundlesBusyError,
-    BundleStoreError,
-    BundleUnfitError,
-    StartError,
+    BundleRefusedError,
+    ProblemError,
+    StorageError,
 )
 
 Change = Callable[[LoadedBundle], Awaitable[None]]
@@ -65,10 +63,9 @@ class BundleManager:
         """Take in a bundle; it is checked, and not used.
 
         Raises:
-            BundleInvalidError, BundleUnfitError: it cannot be used here.
-            BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
-            BundleRevealsError: its masks show pictures of the scene.
-            BundlesFullError, BundleStoreError: it cannot be stored now.
+            BundleRefusedError: it cannot be used here, is no owner's, or shows the scene.
+            BundleOlderError: it is not of a higher version.
+            ProblemError, StorageError: it cannot be stored now.
         """
         with self._store.incoming() as (path, stream):
             async for chunk in chunks:
@@ -92,10 +89,9 @@ class BundleManager:
 
         Raises:
             UnknownBundleError: there is none of this digest.
-            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
-            BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
-            BundleRevealsError: its masks show pictures of the scene.
-            BundleStoreError, BundlesBusyError: it cannot be made durable now.
+            BundleRefusedError: it cannot be used (any more), is no owner's, or shows the scene.
+            BundleOlderError: it is older and may not be.
+            StorageError, ProblemError: it cannot be made durable now.
         """
         async with self._alone():
             before = self._keys
@@ -106,8 +102,8 @@ class BundleManager:
                     await change(keys)
                     self._keys, self._infos[digest] = keys, keys.info
                 try:
-                    await asyncio.to_thread(self._store.commit, staged)
-                except BundleStoreError:
+                    await asyncio.to_thread(staged.commit)
+                except StorageError:
                     # What runs must be what a restart would bring.
                     if self._keys is not before:
                         await change(before)
@@ -125,7 +121,7 @@ class BundleManager:
             change: makes the camera use the keys; what it raises leaves everything as it is.
 
         Raises:
-            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
+            BundleRefusedError: it cannot be used (any more).
         """
         async with self._changing:
             digest, opener = self._keys.info.digest, self._opener.with_source(open_source)
@@ -145,26 +141,17 @@ class BundleManager:
         """Read an uploaded file that may be used later."""
         info = bundle_info(self._opener.take(path))
         if self._opener.owners.keys:  # else an older one may be allowed when it is activated
-            self._opener.owners.check_version(info, self._used())
+            self._opener.owners.check_version(info, self._store.used)
         return info
 
     def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
         """Open a bundle that may be used now, and return the record that is kept of it."""
         owners, keys = self._opener.owners, self._keys
-        used = dataclasses.replace(self._used(), version=keys.info.version)
+        used = dataclasses.replace(self._store.used, version=keys.info.version)
         if digest != keys.info.digest:
             keys = self._opener.open(self._store.path(digest), digest)
             owners.check_version(keys.info, used, allow_older=allow_older)
         return keys, owners.remember(keys.info, used)
-
-    def _used(self) -> Used:
-        try:
-            return self._store.used
-        except StartError:
-            raise BundleStoreError(
-                "the bundles that were in use cannot be read: 'veilcamd doctor' on the camera's "
-                "machine says why"
-            ) from None
 
     async def _response(self, digest: str) -> InstalledBundle:
         path = self._store.path(digest)
@@ -181,13 +168,16 @@ class BundleManager:
     def _look(self, digest: str) -> BundleInfo | None:
         try:
             bundle = self._opener.read(self._store.path(digest))
-        except (BundleInvalidError, BundleUnfitError):
+        except BundleRefusedError:
             return None
         return bundle_info(bundle) if bundle.digest == digest else None
 
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         if self._changing.locked():
-            raise BundlesBusyError
+            raise ProblemError(
+                "too_many_requests",
+                "another change of bundles is under way: try again when it is done",
+            )
         async with self._changing:
             yield

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from veilcam_client.wire.bundles import BundleInfo
-from veilcam_server.errors import BundleOlderError, BundleUntrustedError, StartError
+from veilcam_server.errors import BundleOlderError, BundleRefusedError, StartError
 from veilcam_training.bundle import Bundle, BundleError, OwnerKey
 
 
@@ -59,11 +59,11 @@ class Owners:
         return cls(frozenset(keys))
 
     def check(self, bundle: Bundle) -> None:
-        """Raise :class:`BundleUntrustedError` for one that no owner signed."""
+        """Raise :class:`BundleRefusedError` for one that no owner signed."""
         if not self.keys or bundle.owner in self.keys:
             return
         signed = "is not signed" if bundle.owner is None else f"is signed by {bundle.owner.short}"
-        raise BundleUntrustedError(
+        raise BundleRefusedError(
             f"this bundle {signed}: this camera takes bundles that "
             f"{' or '.join(sorted(key.short for key in self.keys))} signed"
         )

@@ -22,15 +22,14 @@ from pydantic import BaseModel, ConfigDict
 from veilcam_optics.files import sync_folder
 from veilcam_server.bundles.owners import Used
 from veilcam_server.errors import (
-    BundleInUseError,
-    BundlesFullError,
-    BundleStoreError,
+    ProblemError,
+    StorageError,
     UnknownBundleError,
 )
 from veilcam_server.system.state_file import (
     Report,
     Staged,
-    StateFile,
+    StateStore,
     log_fault,
     make_directory,
 )
@@ -68,7 +67,7 @@ class BundleStore:
     def __init__(
         self, directory: Path, configured: Path, digest: str, report: Report = log_fault
     ) -> None:
-        self._record = StateFile(
+        self._record = StateStore(
             directory / "in-use.json",
             _InUse,
             lost="the bundle that the daemon was started with is in use; activate another one",
@@ -120,7 +119,7 @@ class BundleStore:
             return self._given
         path = self._path(digest)
         if not (_DIGEST.fullmatch(digest) and path.is_file()):
-            raise UnknownBundleError
+            raise UnknownBundleError("there is no bundle of this digest: see GET /v1/bundles")
         return path
 
     @contextmanager
@@ -128,8 +127,8 @@ class BundleStore:
         """Yield a new file, and its path, that is gone afterwards unless it was installed.
 
         Raises:
-            BundlesFullError: there are too many already.
-            BundleStoreError: the disk refuses.
+            ProblemError: there are too many already.
+            StorageError: the disk refuses.
         """
         self._require_room()
         with _durable():
@@ -144,8 +143,8 @@ class BundleStore:
         """Move a whole and checked file into its place.
 
         Raises:
-            BundlesFullError: others came meanwhile, and there are too many now.
-            BundleStoreError: the disk refuses.
+            ProblemError: others came meanwhile, and there are too many now.
+            StorageError: the disk refuses.
         """
         if digest == self.configured:
             return
@@ -162,18 +161,20 @@ class BundleStore:
 
         Raises:
             UnknownBundleError: there is none of this digest.
-            BundleInUseError: it is the active or the configured one.
-            BundleStoreError: the disk refuses.
+            ProblemError: it is the active or the configured one.
+            StorageError: the disk refuses.
         """
         path = self.path(digest)
         if digest in (active, self.configured):
-            raise BundleInUseError
+            raise ProblemError(
+                "conflict", "this bundle is in use, or the daemon was started with it: it stays"
+            )
         with _durable():
             path.unlink()
             sync_folder(self._directory)
 
     def stage(self, digest: str, before: str, used: Used) -> Staged[_InUse]:
-        """Write down that ``digest`` is in use, for :meth:`commit`.
+        """Write down that ``digest`` is in use, for its commit.
 
         Everything that a full disk can prevent is done here.
 
@@ -183,25 +184,20 @@ class BundleStore:
             used: record to keep from now on.
 
         Raises:
-            BundleStoreError: the disk refuses.
+            StorageError: the disk refuses.
         """
         record = _InUse(
             active=digest, before=before, configured=self.configured, **dataclasses.asdict(used)
         )
         with _durable():
             make_directory(self._directory)
-            return self._record.stage(lambda _: record)
-
-    def commit(self, staged: Staged[_InUse]) -> None:
-        """Make what was staged hold from now on; raises :class:`BundleStoreError`."""
-        with _durable():
-            staged.commit()
+        return self._record.stage(lambda _: record)
 
     def settle(self, digest: str, used: Used) -> None:
         """Write down what the daemon starts with, unless that is known.
 
         Raises:
-            BundleStoreError: the disk refuses.
+            StorageError: the disk refuses.
         """
         chosen = self._record.read()
         same = chosen is not None and chosen.configured == self.configured
@@ -209,11 +205,11 @@ class BundleStore:
             return
         before = chosen.before if chosen is not None and same else digest
         with closing(self.stage(digest, before, used)) as staged:
-            self.commit(staged)
+            staged.commit()
 
     def _require_room(self) -> None:
         if len(self.digests()) > CAPACITY:
-            raise BundlesFullError(CAPACITY)
+            raise ProblemError("conflict", f"{CAPACITY} bundles are installed: remove one first")
 
     def _temporary(self) -> tuple[int, str]:
         make_directory(self._directory)
@@ -224,7 +220,7 @@ class BundleStore:
 
 
 def append(stream: BinaryIO, chunk: bytes) -> None:
-    """Write to an incoming file; raises :class:`BundleStoreError`."""
+    """Write to an incoming file; raises :class:`StorageError`."""
     with _durable():
         stream.write(chunk)
         stream.flush()
@@ -235,6 +231,6 @@ def _durable() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise BundleStoreError(
+        raise StorageError(
             f"the bundle cannot be stored ({error.strerror}): check the state directory's disk"
         ) from None

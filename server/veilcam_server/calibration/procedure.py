@@ -15,7 +15,7 @@ from veilcam_server.calibration.measurements import Budget, measure
 from veilcam_server.calibration.rig import CalibrationScene, Geometry, Rig
 from veilcam_server.camera.capture import Fence
 from veilcam_server.devices.base import Device
-from veilcam_server.errors import CalibrationError, SceneNotWantedError
+from veilcam_server.errors import CalibrationError, ProblemError
 
 PATIENCE = 600.0
 """Longest wait for a person who sets a scene, during which captures wait [s]."""
@@ -58,11 +58,14 @@ class Run:
         """State of the calibration."""
 
     def confirm(self, scene: SceneName) -> CalibrationRun:
-        """Go on with a scene; raises :class:`SceneNotWantedError` if another one is expected."""
+        """Go on with a scene; raises :class:`ProblemError` if another one is expected."""
         with self._lock:
             wanted = self.state.scene if self.state.stage == "waiting" else None
             if scene != wanted:
-                raise SceneNotWantedError(scene, wanted)
+                what = "no scene is" if wanted is None else f"the scene {wanted!r} is"
+                raise ProblemError(
+                    "conflict", f"{what} waited for, not {scene!r}: see GET /v1/calibration"
+                )
             self.enter("measuring", scene)
         self._confirmed.put(None)
         return self.state

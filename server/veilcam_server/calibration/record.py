@@ -6,7 +6,6 @@ from pathlib import Path
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from pydantic import ValidationError
 
 from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
@@ -15,7 +14,7 @@ from veilcam_server.bundles.loader import OpenSource, open_source
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 from veilcam_training.bundle import Bundle
 
 RECORD_NAME = "calibration.json"
@@ -24,39 +23,25 @@ AGAIN = "run 'veilcamd calibrate' again"
 """Remedy for a record that cannot be used."""
 
 
-def is_signed(message: bytes, signature: str, public: str) -> bool:
-    """Return whether the private half of the key ``public`` signed ``message``."""
+def is_signed(signed: SignedCalibration) -> bool:
+    """Return whether the owner of a record's public key signed it."""
     try:
-        key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public))
-        key.verify(bytes.fromhex(signature), message)
+        key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(signed.public_key))
+        key.verify(bytes.fromhex(signed.signature), _message(signed.record))
     except (ValueError, InvalidSignature):
         return False
     return True
 
 
-class RecordFile(StateFile[SignedCalibration]):
-    """Signed record in two copies. The signature is its checksum.
+def calibration_store(path: Path, report: Report = log_fault) -> StateStore[SignedCalibration]:
+    """Return the store of a signed record; it may lie under another name than its own.
 
     Args:
         path: path of the record.
         report: function that takes damage of the file.
     """
-
-    def __init__(self, path: Path, report: Report = log_fault) -> None:
-        lost = f"the camera is taken as it was drawn; {AGAIN}"
-        super().__init__(path, SignedCalibration, lost=lost, report=report)
-
-    def _encode(self, state: SignedCalibration, serial: int) -> bytes:  # noqa: ARG002 - its time
-        return f"{state.model_dump_json(indent=1)}\n".encode()
-
-    def _decode(self, content: bytes) -> tuple[int, SignedCalibration]:
-        try:
-            signed = SignedCalibration.model_validate_json(content)
-        except ValidationError:
-            raise ValueError("it is no record") from None
-        if not is_signed(_message(signed.record), signed.signature, signed.public_key):
-            raise ValueError("it was changed after it was signed")
-        return int(1e6 * signed.record.taken_at.timestamp()), signed
+    lost = f"the camera is taken as it was drawn; {AGAIN}"
+    return StateStore(path, SignedCalibration, lost=lost, report=report, name="calibration")
 
 
 def imperfections_of(record: CalibrationRecord) -> Imperfections:
@@ -82,18 +67,6 @@ def sign_record(record: CalibrationRecord, key: Signer) -> SignedCalibration:
     )
 
 
-def write_record(path: Path, signed: SignedCalibration) -> None:
-    """Replace ``path`` and its copy by a signed record, or leave both as they were.
-
-    Raises:
-        CalibrationError: it cannot be written.
-    """
-    try:
-        RecordFile(path).change(lambda _: signed)
-    except OSError as error:
-        raise CalibrationError(f"{path} cannot be written ({error.strerror}): check it") from None
-
-
 def _message(record: CalibrationRecord) -> bytes:
     return record.model_dump_json().encode()
 
@@ -117,7 +90,7 @@ def open_calibration(
             has another signer.
     """
     path, named = record_path(settings), settings.calibration is not None
-    signed = RecordFile(path, report).read()
+    signed = calibration_store(path, report).read()
     if signed is None:
         if named:
             raise StartError(
@@ -125,7 +98,7 @@ def open_calibration(
                 "give another --calibration"
             )
         return None
-    if signed.public_key != key.public:
+    if signed.public_key != key.public or not is_signed(signed):
         why = f"{path} was signed by another device: {AGAIN}, or give another --calibration"
         if named:
             raise StartError(why)

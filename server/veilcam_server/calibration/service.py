@@ -28,6 +28,7 @@ from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, CancelledError, Run, calibrate
 from veilcam_server.calibration.record import (
+    calibration_store,
     check_record,
     geometry_of,
     panel_tab,
@@ -35,15 +36,12 @@ from veilcam_server.calibration.record import (
     settle_time,
     sign_record,
     source_opener,
-    write_record,
 )
 from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
-    CalibratingError,
     CalibrationError,
-    NotCalibratingError,
     NotReadyError,
     ProblemError,
 )
@@ -177,8 +175,8 @@ class CalibrationService:
         return sign_record(record, self._key)
 
     def write(self, signed: SignedCalibration) -> None:
-        """Write a record for the next start; raises :class:`CalibrationError`."""
-        write_record(record_path(self._settings), signed)
+        """Let the next daemon begin with a record; raises :class:`StorageError`."""
+        calibration_store(record_path(self._settings)).change(lambda _: signed)
 
     def serve(self, served: Served) -> None:
         """Take the camera that :meth:`start` measures."""
@@ -192,9 +190,9 @@ class CalibrationService:
         )
 
     def require_idle(self) -> None:
-        """Raise :class:`CalibratingError` while a calibration is under way."""
+        """Raise :class:`NotReadyError` while a calibration is under way."""
         if self._task is not None and not self._task.done():
-            raise CalibratingError
+            raise NotReadyError("the camera is being calibrated: see GET /v1/calibration")
 
     async def start(self, repeats: int) -> CalibrationRun:
         """Begin to calibrate the camera that is served.
@@ -204,8 +202,7 @@ class CalibrationService:
 
         Raises:
             CalibrationError: this camera cannot be calibrated, or no record can be written.
-            CalibratingError: a calibration is under way.
-            NotReadyError: the daemon is stopping.
+            NotReadyError: a calibration is under way, or the daemon is stopping.
         """
         served = self._served
         if served is None:
@@ -226,8 +223,7 @@ class CalibrationService:
         """Confirm a scene, so that the calibration goes on.
 
         Raises:
-            NotCalibratingError: no calibration is under way.
-            SceneNotWantedError: another scene is expected, or none.
+            ProblemError: no calibration is under way, or another scene is expected.
         """
         return self._under_way().confirm(scene)
 
@@ -235,7 +231,7 @@ class CalibrationService:
         """Cancel the calibration under way, and wait until the camera is back.
 
         Raises:
-            NotCalibratingError: no calibration is under way.
+            ProblemError: no calibration is under way.
         """
         run = self._under_way()
         await self.close()
@@ -249,7 +245,9 @@ class CalibrationService:
 
     def _under_way(self) -> Run:
         if self._run is None or self._task is None or self._task.done():
-            raise NotCalibratingError
+            raise ProblemError(
+                "conflict", "no calibration is under way: begin one with POST /v1/calibration"
+            )
         return self._run
 
     async def _calibrate(self, served: Served, run: Run) -> None:

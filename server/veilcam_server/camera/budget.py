@@ -15,9 +15,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
 from veilcam_client.wire.sealing import Release
-from veilcam_server.errors import ReleaseNotRecordedError
+from veilcam_server.errors import ProblemError
 from veilcam_server.masks.source import Mask
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 NAME = "released.json"
 """Of the record in the state directory."""
@@ -49,7 +49,7 @@ class ReleaseBudget:
         if raw < 0:
             raise ValueError(f"raw = {raw} is not valid: use 0 or more")
         self._limits: dict[Release, float] = {"sealed": math.inf, "white": 1, "raw": raw}
-        self._file = StateFile(
+        self._file = StateStore(
             directory / NAME,
             _Released,
             lost="no embedding leaves raw behind a stored mask any more; to forget what left, move "
@@ -77,7 +77,7 @@ class ReleaseBudget:
         """Count one embedding, before it leaves.
 
         Raises:
-            ReleaseNotRecordedError: that cannot be made durable.
+            StorageError: that cannot be made durable.
         """
         if not mask.mark:
             mask.released += 1
@@ -91,10 +91,30 @@ class ReleaseBudget:
             counts[mark] = max(counts.get(mark, 0), self._counts.get(mark, 0)) + 1
             return _Released(counts=counts)
 
-        try:
-            self._counts = dict(self._file.change(counted).counts)
-        except OSError as error:
-            raise ReleaseNotRecordedError(
-                f"that an embedding leaves cannot be recorded ({error.strerror}): "
-                "check the state directory's disk"
-            ) from None
+        self._counts = dict(self._file.change(counted).counts)
+
+
+def withheld() -> ProblemError:
+    """Return the refusal of a daemon that releases no embeddings."""
+    return ProblemError(
+        "embedding_withheld",
+        "this daemon releases no embeddings: ask for a classification, pair a receiver with "
+        "'veilcam receiver add', or start it with --release",
+    )
+
+
+def nobody_receives() -> ProblemError:
+    """Return the refusal of a sealed embedding that nobody could open."""
+    return ProblemError(
+        "embedding_withheld",
+        "embeddings leave sealed, and no receiver is paired: pair one with 'veilcam receiver add'",
+    )
+
+
+def masks_spent() -> ProblemError:
+    """Return the refusal where the budget of all masks is used up."""
+    return ProblemError(
+        "masks_spent",
+        "as many embeddings left behind every mask of this bundle as may: labels go on; install "
+        "another bundle for more",
+    )

@@ -20,7 +20,12 @@ from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
-from veilcam_server.camera.budget import ReleaseBudget
+from veilcam_server.camera.budget import (
+    ReleaseBudget,
+    masks_spent,
+    nobody_receives,
+    withheld,
+)
 from veilcam_server.camera.capture import (
     ActiveMask,
     Fence,
@@ -42,17 +47,12 @@ from veilcam_server.devices.base import Device, Exposure, Light
 from veilcam_server.devices.corrected import calibrated
 from veilcam_server.devices.errors import DisplayError, LightError, SaturatedError, SensorError
 from veilcam_server.errors import (
-    CalibratingError,
     FenceError,
-    MasksSpentError,
-    NoReceiverError,
-    NotLookingError,
     NotReadyError,
     PanelNotHidingError,
     ProblemError,
     RotationImpossibleError,
     UnsteadyLightError,
-    WithheldError,
 )
 from veilcam_server.masks.source import MaskSource
 
@@ -366,8 +366,8 @@ class MaskedCamera:
             UnsteadyLightError: the light changed, so that nothing tells whether it does.
             RotationImpossibleError, DisplayError: the mask was due to change and could not; it is
                 not used beyond what the policy allows.
-            WithheldError, NoReceiverError, MasksSpentError: the embedding may not leave.
-            ReleaseNotRecordedError: that it leaves cannot be made durable, so it stays.
+            ProblemError: the embedding may not leave.
+            StorageError: that it leaves cannot be made durable, so it stays.
         """
         with self._lock:
             begun = time.monotonic()
@@ -539,7 +539,7 @@ class MaskedCamera:
         if self._withheld(active.epoch) is None and self.preparation.is_current(active.epoch):
             return
         if self.preparation.spent:
-            raise MasksSpentError
+            raise masks_spent()
         # The same mask again, if there is but one: under other terms it may release.
         self._panel.show(self.preparation.take())
         shown = self._panel.active
@@ -549,10 +549,10 @@ class MaskedCamera:
     def _withheld(self, epoch: Epoch) -> ProblemError | None:
         """Return the reason why no embedding may leave behind the mask of an epoch."""
         if epoch.form == "none":
-            return WithheldError()
+            return withheld()
         if epoch.form == "sealed" and epoch.sealer is None:
-            return NoReceiverError()
-        return MasksSpentError() if self._budget.is_spent(epoch.mask, epoch.form) else None
+            return nobody_receives()
+        return masks_spent() if self._budget.is_spent(epoch.mask, epoch.form) else None
 
     def _rotate(self) -> None:
         self._require_running()
@@ -573,9 +573,9 @@ class MaskedCamera:
         if self._stopping:
             raise NotReadyError("the daemon is stopping")
         if self.state.state == "calibrating":
-            raise CalibratingError
+            raise NotReadyError("the camera is being calibrated: see GET /v1/calibration")
         if self._resting is not None:
-            raise NotLookingError(self._resting)
+            raise ProblemError("not_looking", self._resting)
 
     def _require_another(self) -> None:
         if not self.preparation.renewable:

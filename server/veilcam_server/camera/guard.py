@@ -28,6 +28,7 @@ REMEMBERED = 600.0
 
 _NEAR = 1.0
 """Longest time between an opaque frame and its neighbours, beside settling [s]."""
+_LIGHT_CHANGED = "the light changed around this capture, which was thrown away: try again"
 ACCUSED, _UNSTEADY, _ROUNDS = 6, 3, 7
 """Verdicts in a row that accuse the panel, those that blame the light, and repeats at most. Of two
 in a row, a lamp that is switched three times a second accuses a sound camera in .3 % of changes."""
@@ -203,7 +204,7 @@ class Guard:
         if light.dark:
             # A mask that was not written looks like a lamp that went out.
             if before is not None and not before.light.dark:
-                raise UnsteadyLightError
+                raise UnsteadyLightError(_LIGHT_CHANGED)
             if self._clock() - self._hidden_at > REMEMBERED:
                 raise UnsteadyLightError(
                     "it has been too dark for too long to see whether the panel hides the scene: "
@@ -227,12 +228,12 @@ class Guard:
             mixed += found in ("light changes", "too dark")
             if over >= ACCUSED:
                 self._hidden_at = -math.inf
-                raise PanelNotHidingError
+                raise PanelNotHidingError("the panel does not hide the scene")
             if found == "hidden":
                 self._hidden_at = opaque.at
             if found == "hidden" or mixed >= _UNSTEADY:
                 break
-        raise UnsteadyLightError
+        raise UnsteadyLightError(_LIGHT_CHANGED)
 
     def _cover(self, levels: Levels) -> _Opaque:
         """Make the window opaque and take a frame; raises as :meth:`vouch`."""

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail, one_line
-from veilcam_server.errors import AuditError, StartError, TokenStoreError, UnknownTokenError
+from veilcam_server.errors import ProblemError, StartError
 from veilcam_server.settings import default_state_dir
 
 if TYPE_CHECKING:
@@ -120,5 +120,5 @@ def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, Note]]:
             yield store, note
         finally:
             audit.close()
-    except (AuditError, StartError, TokenStoreError, UnknownTokenError) as error:
+    except (ProblemError, StartError) as error:
         fail(str(error))

@@ -13,7 +13,6 @@ from veilcam_server.devices.errors import (
     DisplayError,
     SensorError,
     SensorHungError,
-    SensorTimeoutError,
 )
 
 __all__ = [
@@ -26,6 +25,5 @@ __all__ = [
     "Sensor",
     "SensorError",
     "SensorHungError",
-    "SensorTimeoutError",
     "Shown",
 ]

@@ -122,7 +122,7 @@ class Sensor(Protocol):
             timeout: longest wait for the measurement after ``not_before`` [s].
 
         Raises:
-            SensorTimeoutError: no measurement in time.
+            SensorError: no measurement in time.
             SaturatedError: there is too much light.
             LightError: the light is at fault.
             SensorError: no measurement. One that was started once must now be closed, and started

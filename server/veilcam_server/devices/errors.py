@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from types import TracebackType
 
-from veilcam_server.errors import ProblemError
+from veilcam_server.errors import NamedError
 
 
 class DeviceError(Exception):
@@ -16,38 +16,12 @@ class DeviceMissingError(DeviceError):
     """A device that the configuration names and that is not there."""
 
 
-class DisplayError(
-    DeviceError,
-    ProblemError,
-    code="display_failed",
-    status=503,
-    title="The panel failed",
-    retryable=True,
-    remedy="check_panel_wiring",
-):
+class DisplayError(NamedError, DeviceError, code="display_failed"):
     """The panel did not take a mask; what it shows now is unknown."""
 
 
-class SensorError(
-    DeviceError,
-    ProblemError,
-    code="sensor_failed",
-    status=503,
-    title="The sensor failed",
-    retryable=True,
-    remedy="check_camera_cable",
-):
+class SensorError(NamedError, DeviceError, code="sensor_failed"):
     """The sensor gave no measurement."""
-
-
-class SensorTimeoutError(
-    SensorError,
-    code="sensor_timeout",
-    status=503,
-    title="The sensor gave no measurement in time",
-    retryable=True,
-):
-    """The sensor gave no measurement in time."""
 
 
 class LightError(SensorError, remedy="adjust_light"):

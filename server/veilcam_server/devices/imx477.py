@@ -27,7 +27,6 @@ from veilcam_server.devices.errors import (
     SaturatedError,
     SensorError,
     SensorHungError,
-    SensorTimeoutError,
     in_one_line,
     without_text,
 )
@@ -156,7 +155,7 @@ class IMX477:
         if isinstance(error, TimeoutError):
             unfit = self._unfit
             reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
-            return SensorTimeoutError(f"the camera is opened again, as {reason} in time: try again")
+            return SensorError(f"the camera is opened again, as {reason} in time: try again")
         # Its text may tell of the frame.
         return SensorError(f"the camera failed ({without_text(error)}): it is opened again")
 

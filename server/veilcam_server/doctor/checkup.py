@@ -14,7 +14,7 @@ from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import drivers
 from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.errors import BundleUntrustedError, StartError
+from veilcam_server.errors import BundleRefusedError, StartError
 from veilcam_server.settings import PREFIX, DoctorSettings, Settings, Wiring, unknown_names
 from veilcam_server.system.state_folder import require_readable
 
@@ -381,7 +381,7 @@ def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
 
     try:
         Owners.open(settings.owner_keys).check(bundle)
-    except (StartError, BundleUntrustedError) as error:
+    except (StartError, BundleRefusedError) as error:
         return Finding("owner", "bad", *_halves(error))
     if bundle.owner is None:
         return Finding("owner", "ok", "any: no --owner-keys are given")

@@ -68,5 +68,7 @@ class Classifier:
         """Return the outputs of the network, (batch, labels); raises as :meth:`classify`."""
         logits: npt.NDArray[np.float64] = self.network(inputs).astype(np.float64)
         if not np.isfinite(logits).all():
-            raise InferenceError
+            raise InferenceError(
+                "the classifier gave no probabilities for this measurement: train it again"
+            )
         return logits

@@ -36,7 +36,7 @@ from veilcam_client.wire.log import (
     LogStarted,
     LogStopped,
 )
-from veilcam_server.errors import CaptureLogError, LogDamagedError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.sealing.segments import Ending, Segments, lines_of, position_of
 from veilcam_server.system.state_file import Report, log_fault
 from veilcam_server.system.state_folder import read_file
@@ -100,7 +100,7 @@ class CaptureLog:
         """Sign where the log ends now; all until there is on the disk.
 
         Raises:
-            CaptureLogError: it cannot be made durable.
+            StorageError: it cannot be made durable.
         """
         with self._shown():
             position, digest, missed = self._position, self._digest, self._missed
@@ -122,7 +122,7 @@ class CaptureLog:
             limit: greatest number of records.
 
         Raises:
-            CaptureLogError: they cannot be made durable, or read.
+            StorageError: they cannot be made durable, or read.
         """
         begin = 0 if after is None else after + 1
         with self._shown():
@@ -184,7 +184,7 @@ class CaptureLog:
         """Go on from the newest record that holds; returns what came before."""
         ending = self._segments.recover(self._is_own)
         if ending.torn or ending.breaks:
-            self._report(LogDamagedError(_damage(ending, self._segments.aside.name)))
+            self._report(ProblemError("state_lost", _damage(ending, self._segments.aside.name)))
         if ending.last is None:
             return "loss" if ending.torn else "nothing"
         last = read_line(ending.last)
@@ -240,8 +240,8 @@ def _damage(ending: Ending, aside: str) -> str:
     return f"the capture log goes on, but {', and '.join(parts)}"
 
 
-def _refused(error: OSError) -> CaptureLogError:
-    return CaptureLogError(
+def _refused(error: OSError) -> StorageError:
+    return StorageError(
         f"the capture log cannot be written ({error.strerror}): check the state directory's disk; "
         "it will say how many answers left meanwhile"
     )

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from veilcam_server.system.state_file import (
     Report,
-    StateFile,
+    StateStore,
     log_fault,
     make_directory,
 )
@@ -42,7 +42,7 @@ class DeviceKey:
         Raises:
             StartError: it cannot be made or read.
         """
-        file = StateFile(
+        file = StateStore(
             state_dir / KEY_NAME,
             _Seed,
             lost="this device has another key from now on: tell its receivers, and run "
@@ -53,10 +53,10 @@ class DeviceKey:
         if found is None:
             try:
                 make_directory(state_dir)
-                made = _Seed(seed=Ed25519PrivateKey.generate().private_bytes_raw().hex())
-                found = file.change(lambda held: held or made)
             except OSError as error:
-                raise unusable(state_dir / KEY_NAME, error) from None
+                raise unusable(state_dir, error) from None
+            made = _Seed(seed=Ed25519PrivateKey.generate().private_bytes_raw().hex())
+            found = file.change(lambda held: held or made)
         return cls(Ed25519PrivateKey.from_private_bytes(bytes.fromhex(found.seed)))
 
     @property

@@ -10,14 +10,8 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, field_validato
 
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.sealing import MOST_RECEIVERS, PairedReceiver
-from veilcam_server.errors import (
-    ReceiverInvalidError,
-    ReceiverKnownError,
-    ReceiverStoreError,
-    TooManyReceiversError,
-    UnknownReceiverError,
-)
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.errors import ProblemError
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 NAME = "receivers.json"
 """Of the record in the state directory."""
@@ -61,7 +55,7 @@ class ReceiverStore:
     """
 
     def __init__(self, directory: Path, report: Report = log_fault) -> None:
-        self._file = StateFile(
+        self._file = StateStore(
             directory / NAME,
             _Receivers,
             lost="nobody receives any more: pair receivers again with 'veilcam receiver add'",
@@ -93,41 +87,37 @@ class ReceiverStore:
             receiver: public key of the receiver.
 
         Raises:
-            ReceiverKnownError: it is paired already.
-            TooManyReceiversError: there are as many as there may be.
-            ReceiverStoreError: the disk does not take it.
+            ProblemError: it is paired already, or there are as many as there may be.
+            StorageError: the disk does not take it.
         """
         made = _Paired(label=label, key=str(receiver), added_at=datetime.now(UTC))
         with self._lock:
             if receiver in self._keys:
-                raise ReceiverKnownError
+                raise ProblemError("conflict", "this key is paired already: see GET /v1/receivers")
             if len(self._keys) == MOST_RECEIVERS:
-                raise TooManyReceiversError(MOST_RECEIVERS)
-            self._change(_Receivers(receivers=(*self._record.receivers, made)))
+                raise ProblemError(
+                    "conflict", f"{MOST_RECEIVERS} receivers are paired: remove one first"
+                )
+            held = _Receivers(receivers=(*self._record.receivers, made))
+            self._take(self._file.change(lambda _: held))
         return made.told()
 
     def remove(self, receiver_id: str) -> None:
         """Seal nothing more to a receiver; that is on the disk at return.
 
         Raises:
-            UnknownReceiverError: there is none of this id.
-            ReceiverStoreError: the disk does not take it.
+            ProblemError: there is none of this id.
+            StorageError: the disk does not take it.
         """
         with self._lock:
             pairs = zip(self._record.receivers, self._told, strict=True)
             left = tuple(each for each, told in pairs if told.id != receiver_id)
             if len(left) == len(self._told):
-                raise UnknownReceiverError
-            self._change(_Receivers(receivers=left))
-
-    def _change(self, record: _Receivers) -> None:
-        try:
-            self._take(self._file.change(lambda _: record))
-        except OSError as error:
-            raise ReceiverStoreError(
-                f"receivers cannot be recorded ({error.strerror}), and are what they were: check "
-                "the state directory's disk"
-            ) from None
+                raise ProblemError(
+                    "not_found", "there is no receiver of this id: see GET /v1/receivers"
+                )
+            held = _Receivers(receivers=left)
+            self._take(self._file.change(lambda _: held))
 
     def _take(self, record: _Receivers) -> None:
         # Each is replaced whole: who looks from another thread sees one of the two records.
@@ -137,8 +127,8 @@ class ReceiverStore:
 
 
 def parse_receiver(text: str) -> Receiver:
-    """Read a receiver's public key; raises :class:`ReceiverInvalidError`."""
+    """Read a receiver's public key; raises :class:`ProblemError`."""
     try:
         return Receiver.parse(text)
     except ValueError as error:
-        raise ReceiverInvalidError(str(error)) from None
+        raise ProblemError("invalid_request", str(error)) from None

@@ -12,12 +12,7 @@ from starlette.datastructures import Headers
 
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.errors import (
-    RateLimitError,
-    TokenStoreError,
-    TooManyStreamsError,
-    TooManyStreamsOfOneError,
-    TooManyUploadsError,
-    TooManyUploadsOfOneError,
+    StorageError,
     UnauthorizedError,
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
@@ -31,6 +26,11 @@ from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report, log_fault
+
+STREAMS = "event streams are open: close one that nobody reads"
+STREAMS_OF_ONE = "of your event streams are open: close one of them"
+UPLOADS = "uploads are under way: wait for one to end"
+UPLOADS_OF_ONE = "of your uploads are under way: wait for one to end"
 
 log = structlog.get_logger()
 
@@ -62,17 +62,13 @@ class Admission:
     refused: AuditLog | None = None
     rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
     concurrency: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64))
-    streams: ConcurrencyLimit = field(
-        default_factory=lambda: ConcurrencyLimit(64, TooManyStreamsError)
-    )
+    streams: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64, STREAMS))
     streams_of_one: ConcurrencyLimit = field(
-        default_factory=lambda: ConcurrencyLimit(16, TooManyStreamsOfOneError)
+        default_factory=lambda: ConcurrencyLimit(16, STREAMS_OF_ONE)
     )
-    uploads: ConcurrencyLimit = field(
-        default_factory=lambda: ConcurrencyLimit(4, TooManyUploadsError)
-    )
+    uploads: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(4, UPLOADS))
     uploads_of_one: ConcurrencyLimit = field(
-        default_factory=lambda: ConcurrencyLimit(2, TooManyUploadsOfOneError)
+        default_factory=lambda: ConcurrencyLimit(2, UPLOADS_OF_ONE)
     )
     keys: IdempotencyKeys = field(default_factory=IdempotencyKeys)
     lease: Lease = field(default_factory=Lease)
@@ -80,7 +76,7 @@ class Admission:
     sessions: SessionStore | None = None
 
     def require_audit(self) -> None:
-        """Raise :class:`AuditError` while what callers do cannot be written down."""
+        """Raise :class:`StorageError` while what callers do cannot be written down."""
         if self.audit is not None:
             self.audit.require()
 
@@ -103,10 +99,10 @@ class Admission:
             details: further facts: status, request id, peer.
 
         Raises:
-            AuditError: it must be durable, and is not.
+            StorageError: it must be durable, and is not.
         """
         # Who asks too often must not push out what others did.
-        if code == RateLimitError.code:
+        if code == "too_many_requests":
             return
         log = self.refused if caller is None else self.audit
         if log is None:
@@ -124,9 +120,8 @@ class Admission:
 
         Raises:
             UnauthorizedError: without a valid token.
-            RateLimitError: too often.
-            TooManyRequestsError: too many at once.
-            TokenStoreError: the tokens cannot be read.
+            ProblemError: too often, or too many at once.
+            StorageError: the tokens cannot be read.
         """
         caller = self._caller(headers, peer)
         self.rate.take(caller.id)
@@ -139,7 +134,7 @@ class Admission:
             return True
         try:
             self._known(self.tokens, headers)
-        except (UnauthorizedError, TokenStoreError):
+        except (UnauthorizedError, StorageError):
             return False
         return True
 
@@ -190,8 +185,8 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             refused,
             RateLimit(settings.rate, settings.burst),
             ConcurrencyLimit(settings.concurrency),
-            ConcurrencyLimit(settings.streams, TooManyStreamsError),
-            ConcurrencyLimit(settings.caller_streams, TooManyStreamsOfOneError),
+            ConcurrencyLimit(settings.streams, STREAMS),
+            ConcurrencyLimit(settings.caller_streams, STREAMS_OF_ONE),
             keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
             settings=settings.redacted(),
             sessions=sessions,

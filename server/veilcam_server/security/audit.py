@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from veilcam_optics.files import sync_folder
-from veilcam_server.errors import AuditError
+from veilcam_server.errors import StorageError
 from veilcam_server.system.state_file import Report, log_fault, make_directory
 from veilcam_server.system.state_folder import open_file, read_file, unreadable
 
@@ -54,7 +54,7 @@ class AuditLog:
             details: further facts.
 
         Raises:
-            AuditError: a line that must be durable is not.
+            StorageError: a line that must be durable is not.
         """
         entry: dict[str, Any] = {
             "at": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -65,7 +65,7 @@ class AuditLog:
             self._append(json.dumps(entry, ensure_ascii=True).encode() + b"\n", flush=durable)
         except OSError as error:
             self.lost += 1
-            fault = AuditError(
+            fault = StorageError(
                 f"the audit log cannot be written ({error.strerror}): check the state directory's "
                 "disk"
             )
@@ -82,7 +82,7 @@ class AuditLog:
         self._failing = False
 
     def require(self) -> None:
-        """Raise :class:`AuditError` while it cannot be written, before anything is changed."""
+        """Raise :class:`StorageError` while it cannot be written, before anything is changed."""
         if self._failing:
             self.write("audit log was out of reach", durable=True, lost=self.lost)
 

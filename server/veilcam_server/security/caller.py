@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.errors import ForbiddenError
+from veilcam_server.errors import ProblemError
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,8 @@ class Caller:
         return scope in self.scopes
 
     def require(self, scope: Scope) -> None:
-        """Raise :class:`ForbiddenError` unless the caller has this scope."""
+        """Raise :class:`ProblemError` unless the caller has this scope."""
         if not self.may(scope):
-            raise ForbiddenError(f"this token lacks the scope {scope}: ask for one that has it")
+            raise ProblemError(
+                "forbidden", f"this token lacks the scope {scope}: ask for one that has it"
+            )

@@ -13,12 +13,7 @@ from typing import Any, TypeVar, cast
 
 import structlog
 
-from veilcam_server.errors import (
-    AnswerNotKeptError,
-    DoneBeforeRestartError,
-    IdempotencyError,
-    TooManyKeysError,
-)
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.key_record import LIFETIME, KeyRecord
 from veilcam_server.system.logs import Throttle
 
@@ -29,6 +24,8 @@ KEPT = 256
 CAPACITY = 8192
 """Keys of one caller in a minute. Who asks no more often than the settings allow by default, 100
 times a second, never has so many."""
+
+_REUSED = "this Idempotency-Key came before with another request: use a new key"
 
 log = structlog.get_logger()
 
@@ -100,10 +97,8 @@ class IdempotencyKeys:
             work: function that does the work.
 
         Raises:
-            IdempotencyError: the key came before with another fingerprint.
-            DoneBeforeRestartError: it was done, and the answer is lost.
-            AnswerNotKeptError: it was done, and too many others were since.
-            TooManyKeysError: the caller has used too many keys.
+            ProblemError: the key came before with another fingerprint, the answer is lost, or the
+                caller has used too many keys.
         """
         if key is None:
             return await work()
@@ -115,9 +110,13 @@ class IdempotencyKeys:
         if entry is None:
             entry = self._begin(room, name, fingerprint, work)
         elif entry.fingerprint != fingerprint:
-            raise IdempotencyError
+            raise ProblemError("idempotency_key_reused", _REUSED)
         if entry.task is None:
-            raise AnswerNotKeptError
+            raise ProblemError(
+                "answer_lost",
+                "what this Idempotency-Key asks for was done, and its answer made room for later "
+                "ones: look what is the case now, or ask again with a new key",
+            )
         return cast(ResultT, await asyncio.shield(entry.task))
 
     def _begin(
@@ -130,7 +129,12 @@ class IdempotencyKeys:
         now = self._now()
         if len(room.entries) >= CAPACITY:
             oldest = next(iter(room.entries.values()))
-            raise TooManyKeysError(CAPACITY, max(1, math.ceil(oldest.since + LIFETIME - now)))
+            pause = max(1, math.ceil(oldest.since + LIFETIME - now))
+            raise ProblemError(
+                "too_many_requests",
+                f"{CAPACITY} of your idempotency keys are remembered: try again in {pause} s",
+                retry_after=pause,
+            )
         task = asyncio.create_task(self._do(name, fingerprint, work))
         entry = room.entries[name] = _Entry(fingerprint, now, task)
         room.answered.append(name)
@@ -163,8 +167,13 @@ class IdempotencyKeys:
     def _require_new(self, name: bytes, fingerprint: bytes) -> None:
         """Raise what tells of a key that came before the restart."""
         if name in self._before:
-            same = self._before[name] == fingerprint
-            raise DoneBeforeRestartError if same else IdempotencyError
+            if self._before[name] != fingerprint:
+                raise ProblemError("idempotency_key_reused", _REUSED)
+            raise ProblemError(
+                "answer_lost",
+                "what this Idempotency-Key asks for was done, and its answer was lost when the "
+                "daemon was restarted: look what is the case now, or ask again with a new key",
+            )
 
     def _forget(self) -> None:
         limit = self._now() - LIFETIME

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from veilcam_server.errors import LeasedError
+from veilcam_server.errors import ProblemError
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +51,23 @@ class Lease:
         return holding is not None and hmac.compare_digest(holding.holder.encode(), holder.encode())
 
     def require(self, holder: str) -> None:
-        """Raise :class:`LeasedError` if somebody else holds the camera."""
+        """Raise :class:`ProblemError` if somebody else holds the camera."""
         holding = self.holding
         if holding is not None and not self.held_by(holder):
-            raise LeasedError(holding.owner, max(1, math.ceil(holding.until - self._now())))
+            left = max(1, math.ceil(holding.until - self._now()))
+            raise ProblemError(
+                "leased",
+                f"the camera is leased to {holding.owner!r} for another {left} s",
+                retry_after=left,
+            )
 
     def take(self, holder: str, owner: str, seconds: float) -> None:
-        """Hold the camera, or go on holding it; raises :class:`LeasedError`."""
+        """Hold the camera, or go on holding it; raises :class:`ProblemError`."""
         self.require(holder)
         self._holding = Holding(holder, owner, self._now() + seconds)
 
     def release(self, holder: str) -> None:
-        """Hold it no longer; raises :class:`LeasedError` if somebody else does."""
+        """Hold it no longer; raises :class:`ProblemError` if somebody else does."""
         self.require(holder)
         self._holding = None
 

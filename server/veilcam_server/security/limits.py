@@ -8,7 +8,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from veilcam_server.errors import ProblemError, RateLimitError, TooManyRequestsError
+from veilcam_server.errors import ProblemError
 
 REMEMBERED = 1024
 """Callers whose last requests are remembered."""
@@ -28,12 +28,17 @@ class RateLimit:
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def take(self, caller: str) -> None:
-        """Count one request of ``caller``; raises :class:`RateLimitError` if it is one too many."""
+        """Count one request of ``caller``; raises :class:`ProblemError` if it is one too many."""
         now = self._now()
         left, since = self._buckets.get(caller, (float(self._burst), now))
         left = min(float(self._burst), left + (now - since) * self._rate)
         if left < 1:
-            raise RateLimitError(self._rate, math.ceil((1 - left) / self._rate))
+            pause = math.ceil((1 - left) / self._rate)
+            raise ProblemError(
+                "too_many_requests",
+                f"more than {self._rate:g} requests a second: try again in {pause} s",
+                retry_after=pause,
+            )
         self._buckets[caller] = (left - 1, now)
         self._buckets.move_to_end(caller)
         if len(self._buckets) > REMEMBERED:
@@ -45,20 +50,22 @@ class ConcurrencyLimit:
 
     Args:
         limit: greatest number.
-        refusal: raised, with the limit, at one too many.
+        refusal: refusal of one too many, which follows the limit.
     """
 
     def __init__(
-        self, limit: int, refusal: Callable[[int], ProblemError] = TooManyRequestsError
+        self,
+        limit: int,
+        refusal: str = "of your requests are under way: wait for one of them to end",
     ) -> None:
         self._limit, self._refusal = limit, refusal
         self._under_way: Counter[str] = Counter()
 
     @contextmanager
     def held(self, caller: str) -> Iterator[None]:
-        """Count a request as under way; raises what this limit refuses with."""
+        """Count a request as under way; raises :class:`ProblemError` at one too many."""
         if self._under_way[caller] >= self._limit:
-            raise self._refusal(self._limit)
+            raise ProblemError("too_many_requests", f"{self._limit} {self._refusal}")
         self._under_way[caller] += 1
         try:
             yield

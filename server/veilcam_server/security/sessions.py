@@ -20,10 +20,10 @@ from pydantic import BaseModel, ConfigDict
 from starlette.datastructures import Headers
 from starlette.requests import cookie_parser
 
-from veilcam_server.errors import TokenStoreError, UnauthorizedError
+from veilcam_server.errors import StorageError, UnauthorizedError
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 LIFETIME = 7 * 86_400.0
 """Of a session, unless its token ends before [s]."""
@@ -90,7 +90,7 @@ class SessionStore:
 
     def __init__(self, directory: Path, tokens: TokenStore, report: Report = log_fault) -> None:
         self._tokens = tokens
-        self._file = StateFile(
+        self._file = StateStore(
             directory / "sessions.json",
             _Sessions,
             lost="whoever was logged in on the page gives the token again",
@@ -115,7 +115,7 @@ class SessionStore:
 
         try:
             self._change(add)
-        except TokenStoreError as error:
+        except StorageError as error:
             log.warning("a session will not outlast the daemon", reason=str(error))
         return Begun(cookie, half, expires, expires - now)
 
@@ -124,7 +124,7 @@ class SessionStore:
 
         Raises:
             UnauthorizedError: one is missing, or the session or its token has ended.
-            TokenStoreError: the tokens cannot be read.
+            StorageError: the tokens cannot be read.
         """
         row = self._row(headers)
         if row is None or self._tokens.now() >= row.expires:
@@ -140,7 +140,7 @@ class SessionStore:
         """End the session of a request, at once.
 
         Raises:
-            TokenStoreError: the disk refuses: after a restart it would go on until it expires.
+            StorageError: the disk refuses: after a restart it would go on until it expires.
         """
         row = self._row(headers)
         if row is not None:
@@ -163,13 +163,7 @@ class SessionStore:
             current = {key: row for key, row in self._rows.items() if now < row.expires}
             self._rows = update(current)
             held = _Sessions(sessions=tuple(self._rows.values()))
-            try:
-                self._file.change(lambda _: held)
-            except OSError as error:
-                raise TokenStoreError(
-                    f"the sessions cannot be written ({error.strerror}): check the state "
-                    "directory's disk"
-                ) from None
+            self._file.change(lambda _: held)
 
 
 def _digest(cookie: str, half: str) -> str:

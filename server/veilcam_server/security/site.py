@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 
-from veilcam_server.errors import CrossSiteError, HostRefusedError
+from veilcam_server.errors import ProblemError
 
 PAGES = frozenset(("/", "/docs"))
 """Paths that a link on any page may lead to: what is there is for people, and does nothing."""
@@ -44,23 +44,25 @@ class Site:
         """Refuse what a page of another site makes a browser ask.
 
         Raises:
-            HostRefusedError: for another host.
-            CrossSiteError: from a page of another site.
+            ProblemError: for another host, or from a page of another site.
         """
         # A page in a browser can make its own name resolve to this machine (DNS rebinding);
         # the Host header then betrays it. An address cannot be made to lead elsewhere.
         host = headers.get("host", "").lower()
         if not self._serves(host):
-            raise HostRefusedError
+            raise ProblemError(
+                "host_refused",
+                "this daemon has no such name: use localhost, or start it with --hosts NAME",
+            )
         # A browser sends what a page of another site tells it to, also where it keeps the answer
         # from that page. It names the page itself; what is no browser names none.
         if not all(self._is_own(origin.lower(), host) for origin in headers.getlist("origin")):
-            raise CrossSiteError
+            raise _cross_site()
         sites = headers.getlist("sec-fetch-site")
         if all(site in ("same-origin", "none") for site in sites):
             return
         if method != "GET" or path not in PAGES or not self._navigates(headers):
-            raise CrossSiteError
+            raise _cross_site()
 
     def _serves(self, host: str) -> bool:
         match = _PLACE.fullmatch(host)
@@ -108,3 +110,9 @@ def _is_of(origin: str, place: str) -> bool:
 
 def _with_port(place: str, port: int) -> str:
     return place if re.search(r":\d+$", place) else f"{place}:{port}"
+
+
+def _cross_site() -> ProblemError:
+    return ProblemError(
+        "cross_site", "this daemon answers to no page of another site: ask without a browser"
+    )

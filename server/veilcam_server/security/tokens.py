@@ -15,11 +15,11 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
-from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
+from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
 from veilcam_server.security.caller import Caller
 from veilcam_server.system.state_file import (
     Report,
-    StateFile,
+    StateStore,
     log_fault,
     make_directory,
 )
@@ -102,7 +102,7 @@ class TokenStore:
             make_directory(directory)
         except OSError as error:
             raise unusable(directory, error) from None
-        self._file = StateFile(
+        self._file = StateStore(
             directory / "tokens.json",
             _Tokens,
             lost="nobody is let in until a token is made with 'veilcamd token create'",
@@ -129,7 +129,7 @@ class TokenStore:
             lifetime: lifetime [s], None for ever.
 
         Raises:
-            TokenStoreError: it cannot be written.
+            StorageError: it cannot be written.
         """
         now, secret = self.now(), secrets.token_hex(32)
         row = _Row(
@@ -144,7 +144,7 @@ class TokenStore:
         return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
 
     def tokens(self) -> tuple[Token, ...]:
-        """All tokens, the oldest first; raises :class:`TokenStoreError`."""
+        """All tokens, the oldest first; raises :class:`StorageError`."""
         self._refresh()
         return tuple(row.public() for row in self._known.values())
 
@@ -152,8 +152,8 @@ class TokenStore:
         """Let a token do nothing any more; one that was revoked before stays so.
 
         Raises:
-            UnknownTokenError: there is none of this id.
-            TokenStoreError: it cannot be written.
+            ProblemError: there is none of this id.
+            StorageError: it cannot be written.
         """
         now = self.now()
 
@@ -161,8 +161,9 @@ class TokenStore:
             rows = _current(held, now)
             row = rows.get(token_id)
             if row is None:
-                raise UnknownTokenError(
-                    "there is no token of this id: 'veilcamd token list' names them all"
+                raise ProblemError(
+                    "not_found",
+                    "there is no token of this id: 'veilcamd token list' names them all",
                 )
             if row.revoked is None:
                 rows[token_id] = row.model_copy(update={"revoked": now})
@@ -176,7 +177,7 @@ class TokenStore:
         Raises:
             UnauthorizedError: no token, or one that is unknown, revoked, expired or misspelt: which
                 of these it is, is nobody's business.
-            TokenStoreError: the file cannot be read.
+            StorageError: the file cannot be read.
         """
         self._refresh()
         match = _TOKEN.fullmatch(authorization)
@@ -204,25 +205,13 @@ class TokenStore:
         return None if caller.expires is None else max(0.0, caller.expires - self.now())
 
     def _change(self, update: Callable[[_Tokens], _Tokens]) -> _Tokens:
-        try:
-            return self._file.change(lambda held: update(held or _Tokens()))
-        except OSError as error:
-            raise TokenStoreError(
-                f"the tokens cannot be written ({error.strerror}): check the state directory's disk"
-            ) from None
+        return self._file.change(lambda held: update(held or _Tokens()))
 
     def _refresh(self) -> None:
         version = self._file.version
         if version == self._version:
             return
-        try:
-            held = self._file.read() or _Tokens()
-        except StartError:
-            # Whoever asks need not know where the files are.
-            raise TokenStoreError(
-                "the tokens cannot be read: 'veilcamd doctor' on the camera's machine says why"
-            ) from None
-        self._known, self._version = _by_id(held), version
+        self._known, self._version = _by_id(self._file.read() or _Tokens()), version
 
     def _note_use(self, row: _Row, now: float) -> None:
         today = _datetime(now).strftime("%Y-%m-%d")
@@ -238,7 +227,7 @@ class TokenStore:
         # Once a day for each token; that it cannot be written is no reason to refuse a request.
         try:
             self._change(note)
-        except TokenStoreError:
+        except StorageError:
             self._note_from = self._monotonic() + _PAUSE
 
     def now(self) -> float:

@@ -34,8 +34,8 @@ class Pairing:
         """Pair with a receiver.
 
         Raises:
-            ReceiverInvalidError: it is no receiver's key.
-            ReceiverKnownError, TooManyReceiversError, ReceiverStoreError: as
+            ProblemError: it is no receiver's key.
+            ProblemError, StorageError: as
                 :meth:`ReceiverStore.add`.
         """
         return await asyncio.to_thread(self._add, question)

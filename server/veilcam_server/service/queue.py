@@ -13,21 +13,10 @@ from typing import TypeVar
 
 from veilcam_client.wire.events import Fault
 from veilcam_server.camera.engine import Publish
-from veilcam_server.errors import (
-    CalibrationError,
-    NotLookingError,
-    ProblemError,
-    QueueFullError,
-    ReplayingError,
-    RotationImpossibleError,
-    UnsteadyLightError,
-)
+from veilcam_server.errors import ProblemError
 
 ResultT = TypeVar("ResultT")
-_REFUSALS = (
-    *(CalibrationError, NotLookingError, RotationImpossibleError, ReplayingError),
-    UnsteadyLightError,
-)
+_REFUSALS = ("calibration_impossible", "conflict", "light_unsteady", "not_enabled", "not_looking")
 """At which nothing failed."""
 
 
@@ -49,9 +38,14 @@ class DeviceQueue:
 
     @contextmanager
     def admitted(self) -> Iterator[None]:
-        """Take a place in the queue; raises :class:`QueueFullError` if there is none."""
+        """Take a place in the queue; raises :class:`ProblemError` if there is none."""
         if self.waiting >= self.limit:
-            raise QueueFullError(self.limit, max(1, math.ceil(self.waiting * self._recent)))
+            pause = max(1, math.ceil(self.waiting * self._recent))
+            raise ProblemError(
+                "queue_full",
+                f"{self.limit} captures are waiting: try again in {pause} s",
+                retry_after=pause,
+            )
         self.waiting += 1
         try:
             yield
@@ -76,7 +70,7 @@ class DeviceQueue:
         try:
             result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
         except ProblemError as error:
-            if told and not isinstance(error, _REFUSALS):
+            if told and error.code not in _REFUSALS:
                 self._publish(
                     partial(Fault, code=error.code, detail=str(error), remedy=error.remedy)
                 )

@@ -27,7 +27,7 @@ from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices import Device
-from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
+from veilcam_server.errors import ReplayingError, StartError
 from veilcam_server.masks.source import Evidence, MaskSource
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
@@ -174,11 +174,13 @@ class ReplayedCamera:
         """Return the next recorded capture.
 
         Raises:
-            ReplayOverError: there is none left.
+            ReplayingError: there is none left.
         """
         captures = self._recording.captures
         if self._place == len(captures):
-            raise ReplayOverError(len(captures))
+            raise ReplayingError(
+                f"all {len(captures)} captures were replayed: start the daemon again"
+            )
         place, recorded = self._place, captures[self._place]
         self._place += 1
         return _Recollection(recorded, place)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
-from veilcam_server.errors import PolicyStoreError, RotationImpossibleError
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.errors import RotationImpossibleError
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 
 class _SetPolicy(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
-    record: Literal["rotation"] = "rotation"
-    """Tells it from a record of another policy."""
     policy: RotationPolicy
     given: RotationPolicy | None
     """Setting of the daemon at the time."""
@@ -34,7 +31,7 @@ class PolicyStore:
         self, directory: Path, given: RotationPolicy | None, report: Report = log_fault
     ) -> None:
         self._given, self._report = given, report
-        self._file = StateFile(
+        self._file = StateStore(
             directory / "rotation.json",
             _SetPolicy,
             lost="masks change as the daemon was told at its start; set it again",
@@ -66,12 +63,6 @@ class PolicyStore:
         return RotationOff()
 
     def set(self, policy: RotationPolicy) -> None:
-        """Make a policy hold after a restart, too; raises :class:`PolicyStoreError`."""
+        """Make a policy hold after a restart, too; raises :class:`StorageError`."""
         record = _SetPolicy(policy=policy, given=self._given)
-        try:
-            self._file.change(lambda _: record)
-        except OSError as error:
-            raise PolicyStoreError(
-                f"the rotation policy cannot be recorded ({error.strerror}), and the one before "
-                "goes on: check the state directory's disk"
-            ) from None
+        self._file.change(lambda _: record)

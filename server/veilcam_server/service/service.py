@@ -40,20 +40,17 @@ from veilcam_optics.pictures import PictureError
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
+from veilcam_server.camera.budget import nobody_receives, withheld
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.images import as_scene, decoded, range_warning
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
-    NoReceiverError,
-    PolicyStoreError,
     ProblemError,
     ReplayingError,
-    SceneApiOffError,
-    SceneInvalidError,
+    StorageError,
     UnsteadyLightError,
-    WithheldError,
 )
 from veilcam_server.masks.source import Evidence
 from veilcam_server.sealing.capture_log import CaptureLog
@@ -75,6 +72,7 @@ from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.watch.watcher import Watched, Watcher, WatchSetup
 
 log = structlog.get_logger()
+_NO_SCENES = "this daemon takes no scenes and no faults: start it with --simulate --scene-api"
 AnswerT = TypeVar("AnswerT", Capture, Classification)
 MakeAnswer: TypeAlias = Callable[[str, Captured, float], AnswerT]
 """Makes an answer of its id, the capture, and what the request waited for the device [s]."""
@@ -266,7 +264,7 @@ class Service:
         """Change when the camera looks; raises as :meth:`Watcher.set_policy`.
 
         Raises:
-            CalibratingError: the camera is being measured: cancel that first.
+            NotReadyError: the camera is being measured: cancel that first.
         """
         self.calibration.require_idle()
         return await self.watcher.set_policy(policy)
@@ -305,14 +303,14 @@ class Service:
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and there is none.
-            PolicyStoreError: it cannot be made durable; the one before goes on.
+            StorageError: it cannot be made durable; the one before goes on.
         """
         async with self._setting_policy:
             before, self._camera.policy = self._camera.policy, policy
             if self._policies is not None:
                 try:
                     await asyncio.to_thread(self._policies.set, policy)
-                except PolicyStoreError:
+                except StorageError:
                     self._camera.policy = before
                     raise
         self._events.publish(partial(RotationChanged, policy=policy))
@@ -328,7 +326,7 @@ class Service:
         """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
 
         Raises:
-            WithheldError, NoReceiverError: this daemon releases no embeddings, or to nobody.
+            ProblemError: this daemon releases no embeddings, or to nobody.
         """
         self._require_released()
 
@@ -346,7 +344,7 @@ class Service:
             scores: scores that are told beside the label.
 
         Raises:
-            WithheldError, NoReceiverError: the embedding is wanted, and it may not leave.
+            ProblemError: the embedding is wanted, and it may not leave.
         """
         if include_embedding:
             self._require_released()
@@ -373,12 +371,11 @@ class Service:
         """Hold a picture up before a simulated camera, between two captures; None: take it away.
 
         Raises:
-            SceneApiOffError: that is not allowed here.
-            SceneInvalidError: it is no picture.
+            ProblemError: that is not allowed here, or it is no picture.
         """
         scenes = self._scenes
         if scenes is None:
-            raise SceneApiOffError
+            raise ProblemError("not_enabled", _NO_SCENES)
         picture, warning = None, None
         if content is not None:
             picture, warning = await asyncio.to_thread(_picture, content, scenes)
@@ -391,10 +388,10 @@ class Service:
         """Break a simulated device, or mend it, also while it takes a capture.
 
         Raises:
-            SceneApiOffError: that is not allowed here.
+            ProblemError: that is not allowed here.
         """
         if self._break is None:
-            raise SceneApiOffError
+            raise ProblemError("not_enabled", _NO_SCENES)
         self._break(faults)
         return faults
 
@@ -495,9 +492,9 @@ class Service:
     def _require_released(self) -> None:
         form = self.release
         if form == "none":
-            raise WithheldError
+            raise withheld()
         if form == "sealed" and self._pairing is not None and not self._pairing.paired:
-            raise NoReceiverError
+            raise nobody_receives()
 
 
 def _picture(content: bytes, scenes: Scenes) -> tuple[npt.NDArray[np.float32], str | None]:
@@ -506,6 +503,6 @@ def _picture(content: bytes, scenes: Scenes) -> tuple[npt.NDArray[np.float32], s
         picture = decoded(content)
         scene, warning = as_scene(picture, scenes.shape), range_warning(picture)
     except PictureError as error:
-        raise SceneInvalidError(f"this {error}") from None
+        raise ProblemError("invalid_request", f"this {error}") from None
     fitted = scene if scene.ndim == 2 else np.moveaxis(scene, 0, 2)
     return fitted, None if warning is None else f"this {warning}"

@@ -1,4 +1,4 @@
-"""State files: small records in two copies, each whole and with a checksum of its own.
+"""State stores: small records in two copies, each with name, serial and checksum inside.
 
 A record that is damaged is noticed and put right from its copy. That, and every loss of both, is
 reported: nothing goes back to an earlier state in silence.
@@ -20,12 +20,15 @@ from typing import Generic, TypeAlias, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from veilcam_optics.files import sync_folder
-from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
+from veilcam_server.errors import (
+    ProblemError,
+    StartError,
+    StorageError,
+)
 from veilcam_server.system.state_folder import (
     open_file,
     read_file,
     require_usable,
-    unreadable,
     unusable,
 )
 
@@ -64,35 +67,43 @@ class Staged(Generic[StateT]):
     state: StateT
     """The record as it will be."""
     commit: Callable[[], None]
-    """Makes it hold; raises :class:`OSError` as :meth:`StateFile.change`."""
+    """Makes it hold; raises :class:`StorageError` as :meth:`StateStore.change`."""
     close: Callable[[], None]
     """Lets others change the record; what was not committed is gone."""
 
 
-class StateFile(Generic[StateT]):
+class StateStore(Generic[StateT]):
     """One record in ``PATH`` and ``PATH.copy``, changed by any process, thread by thread.
 
-    Each file is a line with the SHA-256 of all that follows and the record's serial number, then
-    the record as JSON. A change writes both anew, beside them, and flushes them to the disk before
-    either takes its place: what a full disk or a cut can prevent changes nothing. The newest whole
-    copy is the one that counts.
+    Each file is a line with the SHA-256 of all that follows, the record's name and its serial
+    number, then the record as JSON. A change writes both anew, beside them, and flushes them to
+    the disk before either takes its place: what a full disk or a cut can prevent changes nothing.
+    The newest whole copy is the one that counts.
 
     ``PATH.lock`` is held during a change. It stays, and says that there were copies: that both of
     them are gone is told from a record that was never written.
 
     Args:
-        path: path of the record, in a folder that exists.
+        path: path of the record, in a folder that exists when it is changed.
         model: model of the record.
         lost: consequence where no copy is whole, in words for whoever must act.
         report: takes what was damaged.
+        name: name inside the record; that of the file by default.
     """
 
     def __init__(
-        self, path: Path, model: type[StateT], *, lost: str, report: Report = log_fault
+        self,
+        path: Path,
+        model: type[StateT],
+        *,
+        lost: str,
+        report: Report = log_fault,
+        name: str = "",
     ) -> None:
         self.patience = 5.0
         """How long another process may keep the record to itself [s]."""
         self._model, self._lost, self._report = model, lost, report
+        self._name = name or path.stem
         self._told = ""
         self._lock = path.with_name(f"{path.name}.lock")
         self._paths = (path, path.with_name(f"{path.name}.copy"))
@@ -109,18 +120,21 @@ class StateFile(Generic[StateT]):
     @property
     def lost(self) -> bool:
         """True where the last :meth:`read` found no whole copy of two."""
-        return self._told == StateLostError.code
+        return self._told == "state_lost"
 
     def read(self) -> StateT | None:
         """Return the record that was written last; None if there is none, or none is whole.
 
         Raises:
-            StartError: a copy cannot be read; nothing was moved.
+            StorageError: a copy cannot be read; nothing was moved.
         """
         try:
             copies = self._copies()
         except OSError as error:
-            raise unreadable(error, self._lock.parent) from None
+            raise StorageError(
+                f"{Path(str(error.filename)).name} cannot be read ({error.strerror}): 'veilcamd "
+                "doctor' on the camera's machine says what to do"
+            ) from None
         if not self._differ(copies):
             self._told = ""
             return _newest(copies).state
@@ -138,8 +152,8 @@ class StateFile(Generic[StateT]):
         """Replace the record by what ``update`` makes of it; it is on the disk at return.
 
         Raises:
-            OSError: the disk refuses, or another process keeps it. The record is what it was; if
-                the disk failed between one copy's change of names and the other's, it is either.
+            StorageError: the disk refuses, or another process keeps it. The record is what it was;
+                if the disk failed between the two copies' changes of names, it is either.
         """
         with closing(self.stage(update)) as staged:
             staged.commit()
@@ -152,9 +166,9 @@ class StateFile(Generic[StateT]):
             What makes it hold. Nobody else changes the record before that is closed.
 
         Raises:
-            OSError: as :meth:`change`.
+            StorageError: as :meth:`change`.
         """
-        with ExitStack() as undo:
+        with self._telling(), ExitStack() as undo:
             lock = undo.enter_context(self._locked(self.patience))
             copies = self._copies()
             if self._differ(copies):
@@ -165,7 +179,8 @@ class StateFile(Generic[StateT]):
             self._write_beside(self._encode(state, newest.serial + 1))
 
             def commit() -> None:
-                self._put_in_place()
+                with self._telling():
+                    self._put_in_place()
                 self._told = ""
                 if os.fstat(lock).st_size == 0:
                     with suppress(OSError):  # the next change does it
@@ -174,7 +189,7 @@ class StateFile(Generic[StateT]):
             return Staged(state, commit, undo.pop_all().close)
 
     def _encode(self, state: StateT, serial: int) -> bytes:
-        content = f"{serial}\n{state.model_dump_json()}\n".encode()
+        content = f"{self._name} {serial}\n{state.model_dump_json()}\n".encode()
         return sha256(content).hexdigest().encode() + b" " + content
 
     def _decode(self, content: bytes) -> tuple[int, StateT]:
@@ -182,7 +197,10 @@ class StateFile(Generic[StateT]):
         digest, _, rest = content.partition(b" ")
         if sha256(rest).hexdigest().encode() != digest:
             raise ValueError("its checksum is wrong")
-        serial, _, record = rest.partition(b"\n")
+        head, _, record = rest.partition(b"\n")
+        name, _, serial = head.rpartition(b" ")
+        if name.decode() != self._name:
+            raise _OtherRecordError
         return int(serial), self._model.model_validate_json(record)
 
     def _copies(self) -> tuple[_Copy[StateT], ...]:
@@ -194,7 +212,7 @@ class StateFile(Generic[StateT]):
             serial, state = self._decode(content)
         except FileNotFoundError:
             return _Copy(path, fault="is gone")
-        except ValidationError:
+        except (_OtherRecordError, ValidationError):
             return _Copy(path, fault="holds another record")
         except ValueError:
             return _Copy(path, fault="is damaged")
@@ -238,14 +256,13 @@ class StateFile(Generic[StateT]):
         if not told or not (self._written() or any(copy.fault != "is gone" for copy in copies)):
             return
         what = " and ".join(f"{copy.path.name} {copy.fault}" for copy in told)
-        fault: ProblemError
         if len(told) < len(copies):
             end = "was put right" if repaired else "cannot be put right now: check the disk"
-            fault = StateDamagedError(f"{what}: its other copy is used, and it {end}")
+            fault = ProblemError("state_damaged", f"{what}: its other copy is used, and it {end}")
         else:
             kept = [_aside(copy.path).name for copy in told if _aside(copy.path).exists()]
             rest = f"; what was left is in {' and '.join(kept)}" if kept else ""
-            fault = StateLostError(f"{what}: {self._lost}{rest}")
+            fault = ProblemError("state_lost", f"{what}: {self._lost}{rest}")
         # A loss stays until the next change, which need not tell of it again.
         if fault.code != self._told:
             self._report(fault)
@@ -258,6 +275,16 @@ class StateFile(Generic[StateT]):
                 stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise StorageError(
+                f"{self._lock.stem} cannot be written ({error.strerror}), and is what it was: "
+                "check the state directory's disk"
+            ) from None
 
     def _put_in_place(self) -> None:
         # The record itself comes last: who sees it change finds both changed.
@@ -278,6 +305,10 @@ class StateFile(Generic[StateT]):
             yield lock
         finally:
             os.close(lock)
+
+
+class _OtherRecordError(ValueError):
+    """A whole record of another name."""
 
 
 class HeldDirectory:

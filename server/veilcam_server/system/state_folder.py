@@ -25,6 +25,11 @@ _FILE = re.compile(
 """Names of state files, each of which has to be a regular file."""
 _FOLDERS = ("bundles", "capture-log")
 """Folders within the state folder."""
+_STATE = re.compile(
+    rf"(?:{_FILE.pattern})(?:\.damaged|\.new)?|(?:bundles|capture-log(?:\.damaged)?)/[\w-][\w.-]*",
+    re.ASCII,
+)
+"""Names of all files of a state folder, as paths in it."""
 _NO_FILE = (*(errno.EEXIST, errno.EINVAL, errno.EISDIR, errno.ELOOP, errno.ENOTDIR, errno.ENXIO),)
 """Errors of what is neither file nor folder where there has to be one."""
 _SIGNS = ("device-key.json", "tokens.json", "audit.jsonl", "scene.npy")
@@ -91,6 +96,18 @@ def require_readable(directory: Path) -> None:
         return
     except OSError as error:
         raise unreadable(error, directory) from None
+
+
+def is_state_name(name: str) -> bool:
+    """Return whether ``name`` is a path, in a state folder, of a file of the state."""
+    return _STATE.fullmatch(name) is not None
+
+
+def state_files(directory: Path) -> tuple[str, ...]:
+    """Return the paths of all files of the state, in a state folder; raises :class:`OSError`."""
+    paths = [path for pattern in ("*", "*/*") for path in directory.glob(pattern) if path.is_file()]
+    names = (path.relative_to(directory).as_posix() for path in paths)
+    return tuple(sorted(filter(is_state_name, names)))
 
 
 def open_file(path: Path, flags: int) -> int:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.watch import WatchOff, WatchPolicy
-from veilcam_server.errors import WatchStoreError
-from veilcam_server.system.state_file import Report, StateFile, log_fault
+from veilcam_server.errors import StorageError
+from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 
 class _SetPolicy(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
-    record: Literal["watch"] = "watch"
-    """Kind of the record."""
     policy: WatchPolicy
     given: WatchPolicy
     """Policy of the daemon's settings at the time."""
@@ -33,7 +30,7 @@ class WatchStore:
 
     def __init__(self, directory: Path, given: WatchPolicy, report: Report = log_fault) -> None:
         self._given = given
-        self._file = StateFile(
+        self._file = StateStore(
             directory / "watch.json",
             _SetPolicy,
             lost="the camera does not look; say anew when it does",
@@ -51,18 +48,15 @@ class WatchStore:
         return record.policy if record.given == self._given else self._given
 
     def set(self, policy: WatchPolicy) -> None:
-        """Keep a policy over restarts; raises :class:`WatchStoreError`."""
+        """Keep a policy over restarts; raises :class:`StorageError`."""
         record = _SetPolicy(policy=policy, given=self._given)
-        # A camera can be switched off with a full disk, too.
-        off = isinstance(policy, WatchOff)
-        what = "the camera is off until a restart" if off else "the one before goes on"
         try:
             self._file.change(lambda _: record)
-        except OSError as error:
-            raise WatchStoreError(
-                f"the watch policy cannot be recorded ({error.strerror}): {what}; check the state "
-                "directory's disk"
-            ) from None
+        except StorageError as error:
+            if not isinstance(policy, WatchOff):
+                raise
+            # A full disk keeps nobody from switching a camera off.
+            raise StorageError(f"the camera is off until a restart: {error}") from None
 
 
 def resting(policy: WatchPolicy, now: datetime, *, sure: bool = True) -> str | None:

@@ -25,7 +25,7 @@ from veilcam_client.wire.watch import (
     WatchPolicy,
 )
 from veilcam_server.camera.engine import CameraEngine, Publish
-from veilcam_server.errors import ProblemError, WatchStoreError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system.clock import MachineClock
@@ -184,15 +184,15 @@ class Watcher:
         """Set the policy, also for after a restart.
 
         Raises:
-            WatchStoreError: the policy cannot be stored, and the one before goes on. Only ``off``
+            StorageError: the policy cannot be stored, and the one before goes on. Only ``off``
                 holds all the same, until a restart.
             DisplayError: the panel does not become opaque, which is tried again.
         """
         async with self._changing:
-            unkept: WatchStoreError | None = None
+            unkept: StorageError | None = None
             try:
                 await asyncio.to_thread(self._setup.store.set, policy)
-            except WatchStoreError as error:
+            except StorageError as error:
                 if not isinstance(policy, WatchOff):
                     raise
                 unkept = error

@@ -66,7 +66,7 @@ async function watched() {
   try {
     return await get("/v1/watch");
   } catch (error) {
-    if (error.code === "replaying") return null;
+    if (error.code === "not_enabled") return null;
     throw error;
   }
 }

@@ -37,8 +37,8 @@ _UPLOAD: dict[str, Any] = {
         "content": {BUNDLE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_CHANGE = (*CHANGE, "bundles_busy", "bundle_not_stored", "replaying")
-_USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "bundle_reveals")
+_CHANGE = (*CHANGE, "too_many_requests", "not_enabled")
+_USE = ("bundle_refused", "bundle_refused", "bundle_refused", "bundle_older", "bundle_refused")
 
 router = APIRouter(
     prefix=PREFIX,
@@ -51,7 +51,7 @@ router = APIRouter(
 @router.get(
     "",
     response_model=InstalledBundles,
-    responses={**KNOWN, **problems("invalid_request", "replaying")},
+    responses={**KNOWN, **problems("invalid_request", "not_enabled")},
 )
 async def bundles(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Response:
     """Every bundle that can be used, and which one is."""
@@ -63,10 +63,7 @@ async def bundles(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Respo
     status_code=201,
     dependencies=[uploads()],
     openapi_extra=_UPLOAD,
-    responses=problems(
-        *("body_too_large", "bundles_full", "too_many_uploads", *_USE),
-        *("bundle_not_stored", "replaying"),
-    ),
+    responses=problems("body_too_large", "conflict", "too_many_requests", "not_enabled", *_USE),
 )
 async def install_bundle(service: ServiceDep, request: Request) -> InstalledBundle:
     """Take in a bundle, a `*.veilcam` file as it is. It is checked, and not used yet.
@@ -80,7 +77,7 @@ async def install_bundle(service: ServiceDep, request: Request) -> InstalledBund
     "/{digest}/activate",
     dependencies=[unleased()],
     responses=problems(
-        *("body_too_large", "invalid_request", "unknown_bundle", "leased"),
+        *("body_too_large", "invalid_request", "not_found", "leased"),
         *(*_USE, *_CHANGE, *KEYED, *DEVICE),
     ),
 )
@@ -93,7 +90,7 @@ async def activate_bundle(
 
 @router.delete(
     "/{digest}",
-    responses=problems("invalid_request", "unknown_bundle", "bundle_in_use", *_CHANGE),
+    responses=problems("invalid_request", "not_found", "conflict", *_CHANGE),
 )
 async def remove_bundle(service: ServiceDep, digest: Digest) -> InstalledBundles:
     """Remove a bundle for good, but not the one in use."""

@@ -32,7 +32,7 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
     status_code=202,
     dependencies=_CALIBRATES,
     responses=problems(
-        *BODY, *CHANGE, "leased", "calibrating", "calibration_impossible", "not_ready"
+        *BODY, *CHANGE, "leased", "not_ready", "calibration_impossible", "not_ready"
     ),
 )
 async def start_calibration(
@@ -49,7 +49,7 @@ async def start_calibration(
 @router.post(
     "/scene",
     dependencies=_CALIBRATES,
-    responses=problems(*BODY, *CHANGE, "leased", "not_calibrating", "scene_not_wanted"),
+    responses=problems(*BODY, *CHANGE, "leased", "conflict", "conflict"),
 )
 async def confirm_scene(
     service: ServiceDep, once: OnceDep, question: SceneConfirmation
@@ -65,7 +65,7 @@ async def confirm_scene(
 @router.delete(
     "",
     dependencies=_CALIBRATES,
-    responses=problems(*CHANGE, "invalid_request", "leased", "not_calibrating"),
+    responses=problems(*CHANGE, "invalid_request", "leased", "conflict"),
 )
 async def cancel_calibration(service: ServiceDep) -> CalibrationRun:
     """End the calibration that is under way; answered once the camera is back."""

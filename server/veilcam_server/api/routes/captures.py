@@ -19,13 +19,13 @@ from veilcam_client.wire.captures import (
 )
 from veilcam_client.wire.sealing import Release
 from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
-from veilcam_server.api.problems import NotAcceptableError
 from veilcam_server.api.scopes import CallerDep, requires, scores_for
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.caller import Caller
 from veilcam_server.service.service import Service
 
-_RELEASE = ("embedding_withheld", "no_receiver", "masks_spent", "release_not_recorded")
-_REFUSALS = (*BODY, "leased", *DEVICE, "replaying", "replay_over", *_RELEASE)
+_RELEASE = ("embedding_withheld", "embedding_withheld", "masks_spent")
+_REFUSALS = (*BODY, "leased", *DEVICE, "not_enabled", "not_enabled", *_RELEASE)
 
 router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Captures"])
 
@@ -52,7 +52,9 @@ async def capture(
     _require_embedding(caller, service)
     media_type = preferred(accept, ("application/json", NPY_MEDIA_TYPE))
     if media_type is None:
-        raise NotAcceptableError(f"captures come as application/json or {NPY_MEDIA_TYPE}")
+        raise ProblemError(
+            "not_acceptable", f"captures come as application/json or {NPY_MEDIA_TYPE}"
+        )
     array_alone = preferred(accept, ("application/json",)) is None
     if array_alone:
         _require_array(service.release)
@@ -106,9 +108,10 @@ async def classify(
 
 def _require_array(form: Release) -> None:
     if form == "sealed":
-        raise NotAcceptableError(
+        raise ProblemError(
+            "not_acceptable",
             "embeddings leave sealed, which are no arrays: accept application/json, and open them "
-            "with a receiver's private key"
+            "with a receiver's private key",
         )
 
 

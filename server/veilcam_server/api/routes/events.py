@@ -35,7 +35,7 @@ async def _stream_place(admission: AdmissionDep, caller: CallerDep) -> AsyncIter
     "",
     dependencies=[requires("read:status"), Depends(_stream_place)],
     response_class=EventSourceResponse,
-    responses=problems("invalid_request", "too_many_streams"),
+    responses=problems("invalid_request", "too_many_requests"),
 )
 async def events(
     request: Request,

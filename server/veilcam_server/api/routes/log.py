@@ -11,7 +11,7 @@ from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
 from veilcam_server.api.dependencies import ServiceDep, problems
 from veilcam_server.api.scopes import requires
 
-_REFUSALS = ("invalid_request", "replaying", "log_not_written")
+_REFUSALS = ("invalid_request", "not_enabled", "storage_failed")
 
 router = APIRouter(prefix="/v1/log", redirect_slashes=False, tags=["Log"])
 

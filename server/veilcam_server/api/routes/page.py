@@ -16,7 +16,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from veilcam_server.api.conditional import KNOWN, IfNoneMatch, has
 from veilcam_server.api.dependencies import AdmissionDep, open_problems
-from veilcam_server.api.problems import NotFoundError
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.headers import content_security_policy
 
 FOLDER = Path(__file__).parents[1] / "page"
@@ -72,8 +72,8 @@ _ASSET: dict[int | str, dict[str, Any]] = {
     **KNOWN,
     # A name that there is not is like any other path: nobody is told without a token.
     **open_problems(
-        *("invalid_request", "not_found", "unauthorized", "rate_limited", "too_many_requests"),
-        "tokens_unavailable",
+        *("invalid_request", "not_found", "unauthorized", "too_many_requests", "too_many_requests"),
+        "storage_failed",
     ),
 }
 
@@ -96,7 +96,7 @@ async def docs(admission: AdmissionDep, if_none_match: IfNoneMatch = "") -> Resp
 async def page_file(name: str, if_none_match: IfNoneMatch = "") -> Response:
     """File of the two pages: script, style or picture."""
     if name not in _FILES:
-        raise NotFoundError("the pages have no such file")
+        raise ProblemError("not_found", "the pages have no such file")
     return _answer(_FILES[name], if_none_match)
 
 

@@ -11,14 +11,14 @@ from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receive
 from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems
 from veilcam_server.api.scopes import requires
 
-_CHANGE = (*CHANGE, "receivers_not_stored", "replaying")
+_CHANGE = (*CHANGE, "not_enabled")
 
 ReceiverId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
 
 router = APIRouter(prefix="/v1/receivers", redirect_slashes=False, tags=["Receivers"])
 
 
-@router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
+@router.get("", dependencies=[requires("read:status")], responses=problems("not_enabled"))
 async def receivers(service: ServiceDep) -> Receivers:
     """Every receiver, and the device, whose key receivers check."""
     return service.pairing.all()
@@ -28,9 +28,7 @@ async def receivers(service: ServiceDep) -> Receivers:
     "",
     status_code=201,
     dependencies=[requires("admin:receivers")],
-    responses=problems(
-        *(*BODY, *_CHANGE, "receiver_invalid", "receiver_known", "too_many_receivers")
-    ),
+    responses=problems(*(*BODY, *_CHANGE, "invalid_request", "conflict", "conflict")),
 )
 async def add_receiver(
     request: Request, service: ServiceDep, once: OnceDep, question: ReceiverRequest
@@ -46,7 +44,7 @@ async def add_receiver(
     status_code=204,
     response_class=Response,  # JSON's would name a media type of nothing
     dependencies=[requires("admin:receivers")],
-    responses=problems(*_CHANGE, "invalid_request", "unknown_receiver"),
+    responses=problems(*_CHANGE, "invalid_request", "not_found"),
 )
 async def remove_receiver(service: ServiceDep, receiver_id: ReceiverId) -> None:
     """Seal nothing more to this receiver, from the next epoch on; what it has it can open."""

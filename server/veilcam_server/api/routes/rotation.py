@@ -28,9 +28,7 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(
-        *BODY, *CHANGE, "leased", "rotation_impossible", "rotation_not_stored", "replaying"
-    ),
+    responses=problems(*BODY, *CHANGE, "leased", "conflict", "not_enabled"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change, also after a restart: off, every N seconds, or N captures."""
@@ -40,7 +38,7 @@ async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
 @router.post(
     "/advance",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(*BODY, "leased", *DEVICE, "replaying", "replay_over"),
+    responses=problems(*BODY, "leased", *DEVICE, "not_enabled", "not_enabled"),
 )
 async def rotate(
     service: ServiceDep,

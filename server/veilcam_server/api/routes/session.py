@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from veilcam_client.wire.tokens import NewSession, Session
 from veilcam_server.api.dependencies import AdmissionDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
-from veilcam_server.errors import TokensOffError, UnauthorizedError
+from veilcam_server.errors import ProblemError, UnauthorizedError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.sessions import SessionStore, cookie_name
@@ -26,7 +26,9 @@ router = APIRouter(
 
 def _sessions(admission: Admission) -> SessionStore:
     if admission.sessions is None:
-        raise TokensOffError
+        raise ProblemError(
+            "not_enabled", "this daemon wants no tokens: start it with --auth tokens"
+        )
     return admission.sessions
 
 
@@ -37,7 +39,7 @@ async def session(request: Request, admission: AdmissionDep, caller: CallerDep) 
     return Session(**_told(admission, caller, caller.expires if ends is None else ends))
 
 
-@router.post("", status_code=201, responses=problems("tokens_off"))
+@router.post("", status_code=201, responses=problems("not_enabled"))
 async def begin_session(
     request: Request, response: Response, admission: AdmissionDep, caller: CallerDep
 ) -> NewSession:
@@ -49,13 +51,13 @@ async def begin_session(
     store = _sessions(admission)
     # A session makes none: whoever stole one could go on for ever.
     if "authorization" not in request.headers:
-        raise UnauthorizedError
+        raise UnauthorizedError()
     begun = await run_in_threadpool(store.begin, caller)
     _set_cookie(admission, request, response, begun.cookie, int(begun.lifetime))
     return NewSession(**_told(admission, caller, begun.expires), half=begun.half)
 
 
-@router.delete("", status_code=204, response_class=Response, responses=problems("tokens_off"))
+@router.delete("", status_code=204, response_class=Response, responses=problems("not_enabled"))
 async def end_session(request: Request, response: Response, admission: AdmissionDep) -> None:
     """End the session of this request."""
     await run_in_threadpool(_sessions(admission).end, request.headers)

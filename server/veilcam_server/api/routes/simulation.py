@@ -24,8 +24,8 @@ _PICTURE: dict[str, Any] = {
     }
 }
 _REFUSALS = (
-    *("invalid_request", "body_too_large", "scene_api_off", "leased", "queue_full"),
-    "calibrating",
+    *("invalid_request", "body_too_large", "not_enabled", "leased", "queue_full"),
+    "not_ready",
 )
 
 router = APIRouter(
@@ -40,7 +40,7 @@ router = APIRouter(
     "/scene",
     dependencies=[uploads()],
     openapi_extra=_PICTURE,
-    responses=problems("scene_invalid", "too_many_uploads", *_REFUSALS),
+    responses=problems("invalid_request", "too_many_requests", *_REFUSALS),
 )
 async def hold_scene(service: ServiceDep, request: Request) -> HeldScene:
     """Hold a picture up, until another one is.
@@ -57,7 +57,7 @@ async def take_scene_away(service: ServiceDep) -> HeldScene:
     return await service.hold_scene(None)
 
 
-@router.put("/faults", responses=problems(*BODY, "scene_api_off", "leased"))
+@router.put("/faults", responses=problems(*BODY, "not_enabled", "leased"))
 async def set_faults(service: ServiceDep, question: Faults) -> Faults:
     """Break the panel or the sensor, at once; what is not named is mended."""
     return service.set_faults(question)

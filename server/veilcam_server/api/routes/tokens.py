@@ -18,14 +18,17 @@ from veilcam_client.wire.tokens import (
 )
 from veilcam_server.api.dependencies import BODY, CHANGE, AdmissionDep, OnceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
-from veilcam_server.errors import ForbiddenError, TokensOffError, UnknownTokenError
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 
 
 async def _store(admission: AdmissionDep) -> TokenStore:
     if admission.tokens is None:
-        raise TokensOffError
+        raise ProblemError(
+            "not_enabled",
+            "this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'",
+        )
     return admission.tokens
 
 
@@ -41,7 +44,7 @@ router = APIRouter(
 )
 
 
-@router.get("", responses=problems("invalid_request", "unknown_token", "tokens_off"))
+@router.get("", responses=problems("invalid_request", "not_found", "not_enabled"))
 def tokens(
     store: StoreDep,
     limit: Annotated[int, Query(ge=1, le=MOST_TOKENS)] = TOKENS_AT_ONCE,
@@ -58,7 +61,7 @@ def tokens(
     return Tokens(tokens=page, next=page[-1].id if more else None)
 
 
-@router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "tokens_off"))
+@router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "not_enabled"))
 async def create_token(
     store: StoreDep,
     caller: CallerDep,
@@ -77,7 +80,7 @@ async def create_token(
 
 
 @router.delete(
-    "/{token_id}", responses=problems(*CHANGE, "invalid_request", "unknown_token", "tokens_off")
+    "/{token_id}", responses=problems(*CHANGE, "invalid_request", "not_found", "not_enabled")
 )
 def revoke_token(store: StoreDep, token_id: TokenId) -> Token:
     """Let a token do nothing any more, from the next request on."""
@@ -88,7 +91,7 @@ def _place(tokens: Sequence[Token], token_id: str) -> int:
     for place, token in enumerate(tokens):
         if token.id == token_id:
             return place
-    raise UnknownTokenError("there is no token of this id any more: begin without 'after'")
+    raise ProblemError("not_found", "there is no token of this id any more: begin without 'after'")
 
 
 def _require_no_more(question: TokenRequest, caller: Caller, store: TokenStore) -> None:
@@ -96,4 +99,6 @@ def _require_no_more(question: TokenRequest, caller: Caller, store: TokenStore) 
         caller.require(scope)
     left = store.lifetime(caller)
     if left is not None and (question.seconds is None or question.seconds > left):
-        raise ForbiddenError(f"this token ends in {left:.0f} s and makes none that lasts longer")
+        raise ProblemError(
+            "forbidden", f"this token ends in {left:.0f} s and makes none that lasts longer"
+        )

@@ -15,7 +15,7 @@ PATH = "/v1/watch"
 router = APIRouter(prefix=PATH, redirect_slashes=False, tags=["Watch"])
 
 
-@router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
+@router.get("", dependencies=[requires("read:status")], responses=problems("not_enabled"))
 async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
     """Watch of the camera, and what it believes to see.
 
@@ -30,10 +30,9 @@ async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
     responses=problems(
         *BODY,
         "leased",
-        "calibrating",
+        "not_ready",
         "display_failed",
-        "watch_not_stored",
-        "replaying",
+        "not_enabled",
     ),
 )
 async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy) -> Watch:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import pytest
 from tests.unit.server.damage import DAMAGES
 
 from veilcam_server.camera.budget import NAME, ReleaseBudget
-from veilcam_server.errors import ProblemError, ReleaseNotRecordedError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.masks.source import Mask
 
 MARKS = frozenset({"a1", "b2"})
@@ -120,11 +119,11 @@ def test_embedding_that_cannot_be_recorded_does_not_leave(
     def full(update: object) -> None:
         if half_way:  # one copy has its new name, and then the disk fails
             change(update)  # type: ignore[arg-type]
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise StorageError("written (No space left on device): check the disk")
 
     with monkeypatch.context() as patched:
         patched.setattr(budget._file, "change", full)
-        with pytest.raises(ReleaseNotRecordedError, match=r"recorded \(No space left .*: check"):
+        with pytest.raises(StorageError, match=r"written \(No space left .*: check"):
             budget.spend(stored(), "raw")
     budget.spend(stored(), "raw")
     # Never less than what left; what may have been written counts.

@@ -16,7 +16,7 @@ from tests.unit.server.damage import DAMAGES
 
 from veilcam_client.keys.capture_log import NOTHING_BEFORE, is_genuine, line_digest, line_of
 from veilcam_client.wire.log import LoggedCapture, LogRecord
-from veilcam_server.errors import CaptureLogError, LogDamagedError, ProblemError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.sealing import capture_log as module
 from veilcam_server.sealing import segments as segments_module
 from veilcam_server.sealing.capture_log import FOLDER, CaptureLog
@@ -192,7 +192,7 @@ def test_record_that_cannot_be_flushed_is_not_shown(
 
     monkeypatch.setattr(os, "fsync", fail)
     for look in (log.head, lambda: log.records(None, 1)):
-        with pytest.raises(CaptureLogError, match=r"Input/output error.*check the state"):
+        with pytest.raises(StorageError, match=r"Input/output error.*check the state"):
             look()
     assert len(os.listdir("/proc/self/fd")) == descriptors
 
@@ -207,7 +207,7 @@ def test_damaged_log_goes_on_and_says_so(rig: Rig, damage: str) -> None:
         assert kinds(records) == ["nothing", "capture", "stop"]
         return
     [fault] = rig.faults
-    assert isinstance(fault, LogDamagedError)
+    assert isinstance(fault, ProblemError)
     assert fault.remedy == "check_disk"
     [said] = [each.entry.after for each in records if each.entry.kind == "start"][-1:]
     if records[0].position == 0 and len(records) == 3:
@@ -261,7 +261,7 @@ def test_full_disk_stops_no_answer_and_the_gap_is_said(rig: Rig, full: pytest.Mo
     full.setattr(os, "pwrite", lambda *_: 5)
     append(log, 3)
     [fault] = rig.faults  # once, however many answers
-    assert isinstance(fault, CaptureLogError)
+    assert isinstance(fault, StorageError)
     assert "No space left on device" in str(fault)
     head = log.head()
     assert is_genuine(head)
@@ -287,10 +287,10 @@ def test_full_disk_stops_no_answer_and_the_gap_is_said(rig: Rig, full: pytest.Mo
 def test_disk_that_is_full_at_the_start_ends_nothing(rig: Rig, full: pytest.MonkeyPatch) -> None:
     log = rig.open()
     append(log, 2)
-    assert [type(fault) for fault in rig.faults] == [CaptureLogError]
-    with pytest.raises(CaptureLogError):
+    assert [type(fault) for fault in rig.faults] == [StorageError]
+    with pytest.raises(StorageError):
         log.head()
-    with pytest.raises(CaptureLogError):
+    with pytest.raises(StorageError):
         log.records(None, 1)
     full.undo()
     append(log, 1)

@@ -70,7 +70,7 @@ async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) 
         second = await sdk.classify(include_embedding=True)
         third = await sdk.classify()
         assert third.embedding is None
-        assert await code(sdk.capture()) == await code(sdk.classify()) == "replay_over"
+        assert await code(sdk.capture()) == await code(sdk.classify()) == "not_enabled"
         assert (await sdk.status()).detail == f"3 of 3 captures recorded on {today(path)}"
     answers: tuple[Capture | Classification, ...] = (first, second, third)
     for place, taken in enumerate(answers):
@@ -126,9 +126,9 @@ async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
             *(sdk.receivers.remove("0f" * 32), sdk.bundles.install(b"bundle")),
             *(sdk.bundles.activate("0f" * 32), sdk.bundles.remove("0f" * 32)),
         ):
-            assert await code(asked) == "replaying"
+            assert await code(asked) == "not_enabled"
         assert await code(sdk.calibration.start()) == "calibration_impossible"
-        assert await code(sdk.simulation.hold_scene(None)) == "scene_api_off"
+        assert await code(sdk.simulation.hold_scene(None)) == "not_enabled"
         assert (await sdk.rotation.get()).epoch is None
         assert (await sdk.status()).captures == 0
         assert not (await sdk.diagnostics()).faults
@@ -175,7 +175,7 @@ async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> No
     path = tmp_path / "bare.jsonl"
     record(Daemon().camera(), path, count=1)
     async with camera(path) as sdk:
-        assert await code(sdk.classify()) == "replaying"
+        assert await code(sdk.classify()) == "not_enabled"
 
 
 async def test_sealed_recording_comes_sealed_and_its_receiver_opens_it(tmp_path: Path) -> None:

@@ -19,9 +19,13 @@ from structlog.testing import capture_logs
 from tests.app.server.killing import kill_writers
 from tests.unit.server.damage import DAMAGES, flip
 
-from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
+from veilcam_server.errors import (
+    ProblemError,
+    StartError,
+    StorageError,
+)
 from veilcam_server.system import state_file
-from veilcam_server.system.state_file import HeldDirectory, StateFile, log_fault, make_directory
+from veilcam_server.system.state_file import HeldDirectory, StateStore, log_fault, make_directory
 
 
 class Note(BaseModel):
@@ -35,8 +39,8 @@ class Rig:
         self.path, self.copy = folder / "note.json", folder / "note.json.copy"
         self.faults: list[ProblemError] = []
 
-    def open(self) -> StateFile[Note]:
-        return StateFile(self.path, Note, lost="nothing is known", report=self.faults.append)
+    def open(self) -> StateStore[Note]:
+        return StateStore(self.path, Note, lost="nothing is known", report=self.faults.append)
 
     def read(self) -> Note | None:
         return self.open().read()
@@ -98,7 +102,7 @@ def test_one_damaged_copy_is_put_right_and_told_of(
     damage(rig.path.with_name(name))
     assert rig.read() == Note(text="new")
     (fault,) = rig.faults
-    assert isinstance(fault, StateDamagedError)
+    assert isinstance(fault, ProblemError)
     what = "is gone" if damage is DAMAGES["removed"] else "is damaged"
     assert str(fault) == f"{name} {what}: its other copy is used, and it was put right"
     assert rig.path.read_bytes() == rig.copy.read_bytes()
@@ -116,7 +120,7 @@ def test_two_damaged_copies_are_lost_and_that_is_told(rig: Rig, first: str, seco
     opened = rig.open()
     assert opened.read() is None
     (fault,) = rig.faults
-    assert isinstance(fault, StateLostError)
+    assert isinstance(fault, ProblemError)
     assert "note.json " in str(fault)
     assert "note.json.copy " in str(fault)
     assert "nothing is known" in str(fault)
@@ -170,9 +174,9 @@ def test_file_that_cannot_be_read_is_not_damaged(
     kept = path.rename(path.with_name("kept"))
     make(path)
     before = sorted(rig.path.parent.iterdir())
-    with pytest.raises(StartError, match=rf"{name} cannot be read \(.*\): move it away"):
+    with pytest.raises(StorageError, match=rf"{name} cannot be read \(.*\): 'veilcamd doctor'"):
         rig.read()
-    with pytest.raises(OSError, match=r"directory|regular|symbolic"):
+    with pytest.raises(StorageError, match=r"directory|regular|symbolic"):
         rig.write("b")
     assert sorted(rig.path.parent.iterdir()) == before
     assert not rig.faults
@@ -189,7 +193,7 @@ def test_disk_that_fails_is_not_damage(rig: Rig, monkeypatch: pytest.MonkeyPatch
     rig.write("a")
     with monkeypatch.context() as patch:
         patch.setattr(os, "fdopen", lambda *_: Failing())
-        with pytest.raises(StartError, match=r"note\.json cannot be read \(Input/output error\)"):
+        with pytest.raises(StorageError, match=r"note\.json cannot be read \(Input/output error\)"):
             rig.read()
     assert rig.read() == Note(text="a")
     assert not rig.faults
@@ -238,7 +242,7 @@ def test_copy_of_the_record_alone_can_be_read(rig: Rig) -> None:
 @pytest.mark.parametrize("after", [0, 1])
 def test_full_disk_changes_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     rig.write("a")
-    with full_disk(monkeypatch, after), pytest.raises(OSError, match="No space left"):
+    with full_disk(monkeypatch, after), pytest.raises(StorageError, match="No space left"):
         rig.write("b")
     assert len(list(rig.path.parent.iterdir())) == 3
     assert rig.read() == Note(text="a")
@@ -250,7 +254,7 @@ def test_full_disk_changes_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch, af
 def test_first_change_on_a_full_disk_leaves_no_record(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with full_disk(monkeypatch), pytest.raises(OSError, match="No space left"):
+    with full_disk(monkeypatch), pytest.raises(StorageError, match="No space left"):
         rig.write("a")
     assert rig.read() is None
     assert not rig.faults
@@ -313,14 +317,14 @@ def test_staged_state_holds_once_it_is_committed(rig: Rig, monkeypatch: pytest.M
         assert rig.read() == Note(text="a")
         impatient = rig.open()
         impatient.patience = 0.0
-        with pytest.raises(OSError, match="another process keeps it"):
+        with pytest.raises(StorageError, match="another process keeps it"):
             impatient.change(lambda _: Note(text="c"))
         staged.commit()
         assert rig.read() == Note(text="b")
     with closing(rig.open().stage(lambda _: Note(text="c"))):
         pass
     assert rig.read() == Note(text="b")
-    with full_disk(monkeypatch), pytest.raises(OSError, match="No space left"):
+    with full_disk(monkeypatch), pytest.raises(StorageError, match="No space left"):
         rig.open().stage(lambda _: Note(text="d"))
     rig.write("e")
     assert rig.read() == Note(text="e")
@@ -350,7 +354,7 @@ def test_file_of_another_record_is_damage(rig: Rig) -> None:
     class Other(BaseModel):
         more: int = 0
 
-    other = StateFile(rig.path.with_name("other.json"), Other, lost="")
+    other = StateStore(rig.path.with_name("other.json"), Other, lost="")
     for number in range(9):  # its serial number is the higher one
         other.change(lambda _, number=number: Other(more=number))  # type: ignore[misc]
     rig.write("a")
@@ -403,7 +407,7 @@ def test_change_waits_for_another_but_not_for_ever(rig: Rig) -> None:
     opened = rig.open()
     assert opened.patience == 5.0
     opened.patience = 0.02
-    with locked(rig), pytest.raises(OSError, match="another process keeps it"):
+    with locked(rig), pytest.raises(StorageError, match="another process keeps it"):
         opened.change(lambda _: Note(text="b"))
     opened.patience = 60.0
     with locked(rig):
@@ -429,7 +433,7 @@ def test_record_that_is_being_changed_is_read_without_waiting(rig: Rig) -> None:
 
 def test_faults_are_logged_where_nobody_takes_them(rig: Rig) -> None:
     with capture_logs() as logs:
-        log_fault(StateLostError("gone"))
+        log_fault(ProblemError("state_lost", "gone"))
     entry = {"event": "fault", "log_level": "warning", "remedy": "check_disk"}
     assert logs == [{**entry, "code": "state_lost", "detail": "gone"}]
 

@@ -40,7 +40,7 @@ runner = CliRunner()
         (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),
         (["bundle", "remove", "ab"], ["* cdcdcdcdcdcd"]),
         (["diagnostics"], ["veilcam 0.1.0", "queue_limit 8"]),
-        (["diagnostics"], ["1200 capture", "sensor_timeout: no frame"]),
+        (["diagnostics"], ["1200 capture", "sensor_failed: no frame"]),
     ],
 )
 def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:

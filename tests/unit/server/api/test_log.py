@@ -161,7 +161,7 @@ async def test_full_disk_stops_no_answer(
             assert (await camera.log.head()).missed == 1
             assert await captures(camera) == []
             faults = (await camera.diagnostics()).faults
-            assert [fault.code for fault in faults] == ["log_not_written"]
+            assert [fault.code for fault in faults] == ["storage_failed"]
             assert faults[0].remedy == "check_disk"
         await camera.classify()
         kinds = [each.entry.kind for each in (await camera.log.list()).records]
@@ -177,7 +177,7 @@ async def test_record_that_cannot_be_flushed_is_no_head(
     async with running() as client:
         monkeypatch.setattr(os, "fsync", refuse)
         answer = await client.get("/v1/log/head")
-    assert (answer.status_code, answer.json()["code"]) == (503, "log_not_written")
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage_failed")
 
 
 async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
@@ -190,6 +190,6 @@ async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
     async with running() as client:
         camera = sdk(client)
         await camera.classify()
-        assert [fault.code for fault in (await camera.diagnostics()).faults] == ["log_damaged"]
+        assert [fault.code for fault in (await camera.diagnostics()).faults] == ["state_lost"]
         said = [getattr(each.entry, "after", "") for each in (await camera.log.list()).records]
     assert said == ["nothing", "", "damage", ""]

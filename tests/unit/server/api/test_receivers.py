@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,6 @@ from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, AuditLog
 from veilcam_server.security.tokens import TokenStore
-from veilcam_server.system.state_file import StateFile
 
 if TYPE_CHECKING:
     import httpx
@@ -55,7 +55,7 @@ async def test_receivers_are_paired_listed_and_removed(running: Running, bench: 
         removed = await client.delete(f"{PATH}/{made.id}")
         assert (removed.status_code, removed.content) == (204, b"")
         assert (await client.get(PATH)).json()["receivers"] == []
-        assert code(await client.delete(f"{PATH}/{made.id}")) == (404, "unknown_receiver")
+        assert code(await client.delete(f"{PATH}/{made.id}")) == (404, "not_found")
 
 
 async def test_key_that_cannot_be_paired_is_refused(
@@ -64,7 +64,7 @@ async def test_key_that_cannot_be_paired_is_refused(
     async with running() as client:
         for wrong in ("veilcam-receiver:AAAA", "veilcam-receiver:===="):
             answer = await client.post(PATH, json={**QUESTION, "key": wrong})
-            assert code(answer) == (422, "receiver_invalid")
+            assert code(answer) == (422, "invalid_request")
         for wrong in ("", "another", f"{KEY.public} "):
             answer = await client.post(PATH, json={**QUESTION, "key": wrong})
             assert code(answer) == (422, "invalid_request")
@@ -73,18 +73,18 @@ async def test_key_that_cannot_be_paired_is_refused(
         first = await client.post(PATH, json=QUESTION, headers=once)
         again = await client.post(PATH, json=QUESTION, headers=once)
         assert (again.status_code, again.content) == (201, first.content)
-        assert code(await client.post(PATH, json=QUESTION)) == (409, "receiver_known")
+        assert code(await client.post(PATH, json=QUESTION)) == (409, "conflict")
         for number in range(7):
             bench.receivers.add(str(number), ReceiverKey.generate().public)
         other = {"label": "ninth", "key": str(ReceiverKey.generate().public)}
-        assert code(await client.post(PATH, json=other)) == (409, "too_many_receivers")
+        assert code(await client.post(PATH, json=other)) == (409, "conflict")
 
         def full(*_: object) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(StateFile, "change", full)
+        monkeypatch.setattr(os, "fsync", full)
         answer = await client.delete(f"{PATH}/{KEY.public.id}")
-        assert code(answer) == (503, "receivers_not_stored")
+        assert code(answer) == (503, "storage_failed")
         assert len(bench.receivers.keys) == 8
 
 
@@ -97,7 +97,7 @@ async def test_pairing_holds_from_the_next_epoch_on(running: Running, fresh_benc
     ):
         with pytest.raises(ApiError, match="pair one with 'veilcam receiver add'") as caught:
             await sdk.capture()
-        assert (caught.value.status, caught.value.code) == (409, "no_receiver")
+        assert (caught.value.status, caught.value.code) == (403, "embedding_withheld")
         assert (await sdk.classify()).label in bench.bundle.labels
         await sdk.receivers.add("archive", KEY.public)
         first, second = await sdk.capture(), await sdk.capture()

@@ -155,4 +155,4 @@ async def test_session_is_refused_where_no_tokens_are_wanted(running: Running) -
         assert (told.tokens, set(told.scopes), told.expires_at) == (False, set(SCOPES), None)
         for method in ("POST", "DELETE"):
             answer = await client.request(method, "/v1/session")
-            assert answer.json()["code"] == "tokens_off"
+            assert answer.json()["code"] == "not_enabled"

@@ -47,7 +47,7 @@ async def test_tokens_come_a_page_at_a_time(running: Running, store: TokenStore)
             ({"limit": 0}, "invalid_request"),
             ({"limit": MOST_TOKENS + 1}, "invalid_request"),
             ({"after": "x"}, "invalid_request"),
-            ({"after": "0" * 12}, "unknown_token"),
+            ({"after": "0" * 12}, "not_found"),
         ):
             answer = await client.get("/v1/tokens", params=query)
             assert answer.json()["code"] == code, query

@@ -16,7 +16,7 @@ from veilcam_client.wire.events import Event, Gone, Seen
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.watch import OnRequest, QuietHours, Watch, Watching, WatchOff
 from veilcam_server.api.routes.events import _told
-from veilcam_server.errors import CalibratingError
+from veilcam_server.errors import NotReadyError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
@@ -150,10 +150,10 @@ async def test_while_the_camera_is_measured_it_cannot_be_switched(
         service = client._transport.app.state.service  # type: ignore[attr-defined]
 
         def measured() -> None:
-            raise CalibratingError
+            raise NotReadyError("the camera is being calibrated")
 
         monkeypatch.setattr(service.calibration, "require_idle", measured)
-        assert await code(sdk(client).watch.set(WatchOff())) == "calibrating"
+        assert await code(sdk(client).watch.set(WatchOff())) == "not_ready"
         assert (await sdk(client).watch.get()).policy == OnRequest()
 
 

@@ -15,7 +15,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.loader import bundle_info
 from veilcam_server.demo_data import BUNDLE, FRESH
-from veilcam_server.errors import BundleRevealsError
+from veilcam_server.errors import BundleRefusedError
 from veilcam_training.bundle import Bundle, Hiding, read_bundle, write_bundle
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ SHOWING = {
 @pytest.mark.parametrize("name", SHOWING)
 def test_mask_that_shows_pictures_is_refused(shipped: Bundle, name: str) -> None:
     bundle = holding(shipped, drawn(2), SHOWING[name])
-    with pytest.raises(BundleRevealsError, match=r"^mask 1 shows pictures of the scene") as caught:
+    with pytest.raises(BundleRefusedError, match=r"^mask 1 shows pictures of the scene") as caught:
         HidingCheck()(bundle)
     assert "\n" not in str(caught.value)
     HidingCheck(allow=True)(bundle)
@@ -91,7 +91,7 @@ def test_rule_that_draws_nearly_open_masks_is_refused() -> None:
     fresh = dataclasses.replace(
         bundle.fresh, distribution=dataclasses.replace(drawn, lowest=lowest)
     )
-    with pytest.raises(BundleRevealsError, match=r"^mask 0 shows pictures of the scene"):
+    with pytest.raises(BundleRefusedError, match=r"^mask 0 shows pictures of the scene"):
         HidingCheck()(dataclasses.replace(bundle, fresh=fresh))
 
 
@@ -109,7 +109,7 @@ def test_record_decides_for_its_own_masks_alone(shipped: Bundle) -> None:
         random_recognised=1.0,
     )
     marked = dataclasses.replace(bundle, hiding=record)
-    with pytest.raises(BundleRevealsError, match=r"^mask 1 shows pictures of the scene \(an eye"):
+    with pytest.raises(BundleRefusedError, match=r"^mask 1 shows pictures of the scene \(an eye"):
         HidingCheck()(marked)
     told = bundle_info(marked).hiding
     assert told is not None
@@ -132,6 +132,6 @@ async def test_bundle_that_shows_pictures_is_not_taken_in(
         answer = await client.post(
             "/v1/bundles", content=path.read_bytes(), headers={"Content-Type": BUNDLE_MEDIA_TYPE}
         )
-        assert (answer.status_code, answer.json()["code"]) == (422, "bundle_reveals")
+        assert (answer.status_code, answer.json()["code"]) == (422, "bundle_refused")
         assert "mask 0 shows pictures of the scene" in answer.json()["detail"]
     assert list((bench.state_dir / "bundles").iterdir()) == []

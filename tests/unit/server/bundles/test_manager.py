@@ -28,18 +28,12 @@ from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.devices import DisplayError
 from veilcam_server.errors import (
-    BundleInvalidError,
-    BundlesBusyError,
-    BundlesFullError,
-    BundleStoreError,
+    BundleRefusedError,
     NotReadyError,
     ProblemError,
-    StateLostError,
-    TooManyUploadsError,
-    TooManyUploadsOfOneError,
 )
 from veilcam_server.masks.pairs import load_pairs
-from veilcam_server.security.admission import Admission
+from veilcam_server.security.admission import UPLOADS, UPLOADS_OF_ONE, Admission
 from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
@@ -225,14 +219,15 @@ async def test_change_that_cannot_be_made_durable_is_rolled_back(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch, bundle: Bundle
 ) -> None:
     def refuse(*_: object) -> None:
-        raise BundleStoreError("the disk is gone")
+        raise OSError(5, "Input/output error")
 
     bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running() as client:
         before = await active(client)
         installed = await install(client, data)
-        monkeypatch.setattr(BundleStore, "commit", refuse)
-        assert code(await activate(client, installed.digest)) == "bundle_not_stored"
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", refuse)
+            assert code(await activate(client, installed.digest)) == "storage_failed"
         assert await active(client) == before
         assert (await label(client)).label == expected(bundle, bench)
 
@@ -242,10 +237,10 @@ async def test_lone_mask_does_not_fit_a_policy_that_wants_another(
 ) -> None:
     async with running(policy=EveryCaptures(captures=5)) as client:
         installed = await install(client, packed(other(bundle, pairs=1), tmp_path))
-        assert code(await activate(client, installed.digest)) == "rotation_impossible"
+        assert code(await activate(client, installed.digest)) == "conflict"
         await client.put("/v1/rotation", json={"mode": "off"})
         assert (await activate(client, installed.digest)).status_code == 200
-        assert code(await client.post("/v1/rotation/advance")) == "rotation_impossible"
+        assert code(await client.post("/v1/rotation/advance")) == "conflict"
 
 
 async def test_bundle_that_cannot_be_used_is_refused_with_the_reason(
@@ -263,10 +258,10 @@ async def test_bundle_that_cannot_be_used_is_refused_with_the_reason(
     async with running() as client:
         before = await active(client)
         for content, wanted, word in (
-            (b"", "bundle_invalid", "not a whole bundle"),
-            (data[:-100], "bundle_invalid", "not a whole bundle"),
-            (packed(other_embedding, tmp_path), "bundle_unfit", "another embedding"),
-            (fresh_file.read_bytes(), "bundle_unfit", "another mode"),
+            (b"", "bundle_refused", "not a whole bundle"),
+            (data[:-100], "bundle_refused", "not a whole bundle"),
+            (packed(other_embedding, tmp_path), "bundle_refused", "another embedding"),
+            (fresh_file.read_bytes(), "bundle_refused", "another mode"),
         ):
             answer = await upload(client, content)
             assert code(answer) == wanted
@@ -276,7 +271,7 @@ async def test_bundle_that_cannot_be_used_is_refused_with_the_reason(
         answer = await upload(client, bytes(2**20 + 1))
         assert code(answer) == "body_too_large"
         answer = await client.post(f"/v1/bundles/{'0' * 64}/activate")
-        assert code(answer) == "unknown_bundle"
+        assert code(answer) == "not_found"
         assert code(await activate(client, "../../etc/passwd")) == "not_found"
         assert code(await activate(client, "A" * 64)) == "invalid_request"
     assert list((bench.state_dir / "bundles").iterdir()) == []
@@ -288,11 +283,11 @@ async def test_removed_for_good_but_not_what_is_in_use(running: Running, data: b
         installed = await install(client, data)
         await activate(client, installed.digest)
         for digest in (configured, installed.digest):
-            assert code(await client.delete(f"/v1/bundles/{digest}")) == "bundle_in_use"
+            assert code(await client.delete(f"/v1/bundles/{digest}")) == "conflict"
         await activate(client, configured)
         answer = await client.delete(f"/v1/bundles/{installed.digest}")
         assert [one["digest"] for one in answer.json()["bundles"]] == [configured]
-        assert code(await activate(client, installed.digest)) == "unknown_bundle"
+        assert code(await activate(client, installed.digest)) == "not_found"
 
 
 async def test_bundles_have_room_for_so_many(
@@ -301,7 +296,7 @@ async def test_bundles_have_room_for_so_many(
     monkeypatch.setattr(bundle_store, "CAPACITY", 1)
     async with running() as client:
         installed = await install(client, data)
-        assert code(await upload(client, data)) == "bundles_full"
+        assert code(await upload(client, data)) == "conflict"
         assert (await activate(client, installed.digest)).status_code == 200
 
 
@@ -338,7 +333,7 @@ async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
     async with asyncio.timeout(60):
         activation = asyncio.create_task(bundles.activate(digest, slow))
         await changing.wait()
-        with pytest.raises(BundlesBusyError):
+        with pytest.raises(ProblemError):
             await bundles.remove(digest)
         # What was sent to the end is taken in afterwards.
         upload = asyncio.create_task(bundles.install(chunks(data)))
@@ -366,19 +361,19 @@ async def test_uploads_at_once_leave_no_more_than_there_is_room_for(
     results = await asyncio.gather(
         *(bundles.install(sent(content)) for content in contents), return_exceptions=True
     )
-    assert sum(isinstance(result, BundlesFullError) for result in results) == 1
+    assert sum(isinstance(result, ProblemError) for result in results) == 1
     assert len((await bundles.all()).bundles) == 2
     assert not list((bench.state_dir / "bundles").glob(".new-*"))
 
 
 async def test_so_many_uploads_at_once(running: Running, data: bytes) -> None:
     for admission, told in (
-        (Admission(uploads=ConcurrencyLimit(0, TooManyUploadsError)), "0 uploads"),
-        (Admission(uploads_of_one=ConcurrencyLimit(0, TooManyUploadsOfOneError)), "0 of your"),
+        (Admission(uploads=ConcurrencyLimit(0, UPLOADS)), "0 uploads"),
+        (Admission(uploads_of_one=ConcurrencyLimit(0, UPLOADS_OF_ONE)), "0 of your"),
     ):
         async with running(admission=admission) as client:
             refused = await upload(client, data)
-            assert code(refused) == "too_many_uploads"
+            assert code(refused) == "too_many_requests"
             assert told in refused.json()["detail"]
             assert int(refused.headers["retry-after"]) >= 1
 
@@ -393,7 +388,7 @@ async def test_full_disk_leaves_nothing_behind(
         monkeypatch.setattr(os, "fsync", full)
         answer = await upload(client, data)
         monkeypatch.undo()
-        assert code(answer) == "bundle_not_stored"
+        assert code(answer) == "storage_failed"
         assert "No space left" in answer.json()["detail"]
     assert list((bench.state_dir / "bundles").iterdir()) == []
 
@@ -423,7 +418,7 @@ class Restarts:
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
         with closing(store.stage(self.digests[number], self.digests[before], Used())) as staged:
-            store.commit(staged)
+            staged.commit()
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
@@ -511,7 +506,7 @@ def test_bundle_that_is_damaged_is_never_used_and_that_is_told(
     restarts.use(1, before=0)
     damage(restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam")
     task, (fault,) = restarts.start()
-    assert (task, restarts.faults[0].code) == ("task 0", "bundle_invalid")
+    assert (task, restarts.faults[0].code) == ("task 0", "bundle_refused")
     assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
@@ -525,13 +520,13 @@ def test_remains_of_a_killed_upload_are_removed(restarts: Restarts) -> None:
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
     service = bench.service(bench.camera())
-    service.report(BundleInvalidError("bundle 0123 is not in use any more"))
+    service.report(BundleRefusedError("bundle 0123 is not in use any more"))
     async with service.open():
-        service.report(StateLostError("of later"))
+        service.report(ProblemError("state_lost", "of later"))
         heard = [event async for event in _until_quiet(service.events("x-0"))]
     faults = [event for event in heard if isinstance(event, Fault)]
     assert [(fault.code, fault.detail) for fault in faults] == [
-        ("bundle_invalid", "bundle 0123 is not in use any more"),
+        ("bundle_refused", "bundle 0123 is not in use any more"),
         ("state_lost", "of later"),
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,8 +26,7 @@ from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
     BundleOlderError,
-    BundleStoreError,
-    BundleUntrustedError,
+    BundleRefusedError,
     ProblemError,
     StartError,
 )
@@ -97,9 +97,9 @@ async def test_only_owners_bundles_are_taken_in(running: Running, bench: Bench, 
     async with running() as client:
         api = Api(client)
         before = set(await api.infos())
-        assert await api.install(make()) == "bundle_untrusted"
-        assert await api.install(make(3)) == "bundle_untrusted"
-        assert await api.install(make(3, OTHER)) == "bundle_untrusted"
+        assert await api.install(make()) == "bundle_refused"
+        assert await api.install(make(3)) == "bundle_refused"
+        assert await api.install(make(3, OTHER)) == "bundle_refused"
         assert set(await api.infos()) == before
         digest = await api.install(make(3, KEY))
         info = (await api.infos())[digest]
@@ -109,7 +109,7 @@ async def test_only_owners_bundles_are_taken_in(running: Running, bench: Bench, 
         assert status["bundle"]["signed_by"] == OWNER.short
         assert status["bundle"]["version"] == 3
         refused = await client.post("/v1/bundles", content=make(4, OTHER), headers=BINARY)
-        assert refused.status_code == 403
+        assert refused.status_code == 422
         assert refused.json()["detail"] == (
             f"this bundle is signed by {STRANGER.short}: "
             f"this camera takes bundles that {OWNER.short} signed"
@@ -142,7 +142,7 @@ async def test_bundle_installed_before_there_were_owners_is_shown_and_not_used(
     async with running() as client:
         info = (await Api(client).infos())[digest]
         assert (info.version, info.signed_by) == (3, STRANGER.short)
-        assert await Api(client).activate(digest) == "bundle_untrusted"
+        assert await Api(client).activate(digest) == "bundle_refused"
 
 
 async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, make: Make) -> None:
@@ -211,7 +211,7 @@ class Starts:
         used = self.owners.remember(keys.info, store.used)
         before = store.candidates()[0]
         with closing(store.stage(bundle.digest, before, used)) as staged:
-            store.commit(staged)
+            staged.commit()
         return store.path(bundle.digest)
 
 
@@ -222,7 +222,7 @@ def starts(tmp_path: Path, make: Make) -> Starts:
 
 def test_start_with_a_bundle_of_nobody_or_somebody_else_is_refused(starts: Starts) -> None:
     for path in (starts.file(1, None), starts.file(2, OTHER)):
-        with pytest.raises(BundleUntrustedError):
+        with pytest.raises(BundleRefusedError):
             starts.start(path)
 
 
@@ -305,12 +305,14 @@ def test_start_that_cannot_be_remembered_is_said(
     starts: Starts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
-        raise BundleStoreError("the disk is full")
+        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(BundleStore, "commit", full)
-    version, (fault,) = starts.start(starts.file(3))
+    path = starts.file(3)
+    monkeypatch.setattr(os, "fsync", full)
+    version, (fault,) = starts.start(path)
     assert version == 3
-    assert fault == "which bundle is in use is not remembered: the disk is full"
+    assert fault.startswith("which bundle is in use is not remembered: ")
+    assert "No space left" in fault
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from veilcam_server.calibration.rig import CalibrationScene, dark, lamp, white
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.devices import Device, DisplayError
-from veilcam_server.errors import CalibrationError, SceneNotWantedError
+from veilcam_server.errors import CalibrationError, ProblemError
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.security.admission import Admission
@@ -193,13 +193,13 @@ async def test_calibration_is_disturbed_by_nobody(
         captures = bench.sensor.captures
         for path in ("/v1/captures", "/v1/classifications", "/v1/rotation/advance"):
             answer = await client.post(path)
-            assert (answer.status_code, answer.json()["code"]) == (503, "calibrating")
+            assert (answer.status_code, answer.json()["code"]) == (503, "not_ready")
             assert answer.headers["retry-after"]
         again = await start(client)
-        assert (again.status_code, again.json()["code"]) == (503, "calibrating")
+        assert (again.status_code, again.json()["code"]) == (503, "not_ready")
         for scene in ("lamp", "white card"):
             answer = await present(client, scene)
-            assert (answer.status_code, answer.json()["code"]) == (409, "scene_not_wanted")
+            assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
             assert "'dark'" in answer.json()["detail"]
         assert (await present(client, "a tree")).status_code == 422
         assert bench.sensor.captures == captures
@@ -224,8 +224,8 @@ async def test_calibration_can_be_cancelled_while_it_waits_and_while_it_reads(
             assert await state(client) == "ready"
             assert np.asarray(await measurement(client)) == pytest.approx(1.0)
             again = await client.delete("/v1/calibration")
-            assert (again.status_code, again.json()["code"]) == (409, "not_calibrating")
-            assert (await present(client, "dark")).json()["code"] == "not_calibrating"
+            assert (again.status_code, again.json()["code"]) == (409, "conflict")
+            assert (await present(client, "dark")).json()["code"] == "conflict"
         assert (await status(client)).signed is None
         assert service.written() is None
 
@@ -354,7 +354,7 @@ async def test_every_twentieth_part_is_reported() -> None:
     for ends in (run.advance, run.check):
         with pytest.raises(CancelledError):
             ends()
-    with pytest.raises(SceneNotWantedError, match="no scene is waited for"):
+    with pytest.raises(ProblemError, match="no scene is waited for"):
         run.confirm("dark")
 
 
@@ -366,7 +366,7 @@ async def test_scene_is_confirmed_once() -> None:
         await asyncio.sleep(0.001)
     run.confirm("dark")
     waiting.join()
-    with pytest.raises(SceneNotWantedError):
+    with pytest.raises(ProblemError):
         run.confirm("dark")
     assert [each.stage for each in reports] == ["waiting", "measuring"]
 

@@ -12,7 +12,7 @@ import pytest
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import RecordFile
+from veilcam_server.calibration.record import calibration_store
 from veilcam_server.calibration.rig import dark, white
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.devices.base import Device
@@ -99,4 +99,4 @@ def test_record_is_kept_where_the_daemon_looks(bundle: Bundle, tmp_path: Path) -
         service.sign(make_record())
     signed = service.sign(make_record(geometry=geometry_of(bundle)))
     service.write(signed)
-    assert RecordFile(path).read() == signed
+    assert calibration_store(path).read() == signed

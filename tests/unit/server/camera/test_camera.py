@@ -17,7 +17,6 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import (
-    CalibratingError,
     FenceError,
     NotReadyError,
     RotationImpossibleError,
@@ -241,9 +240,9 @@ def test_holder_of_the_device_has_it_alone(bench: Bench, camera: MaskedCamera) -
         assert camera.present == (None, 0)
         assert not bench.display.shown[-1].any()
         for refused in (lambda: camera.capture(release=True), camera.rotate):
-            with pytest.raises(CalibratingError):
+            with pytest.raises(NotReadyError):
                 refused()
-        with pytest.raises(CalibratingError), camera.exclusive():
+        with pytest.raises(NotReadyError), camera.exclusive():
             pass
         assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.measurement)
     assert bench.states[-1] == ("ready", None)

@@ -10,7 +10,7 @@ import pytest
 from veilcam_client.wire.rotation import EverySeconds
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.devices import DisplayError
-from veilcam_server.errors import NotLookingError, SelfTestError
+from veilcam_server.errors import ProblemError, SelfTestError
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
@@ -37,7 +37,7 @@ def test_panel_is_opaque_and_nothing_is_taken(bench: Bench) -> None:
         camera.rotate,
         lambda: camera.exclusive().__enter__(),
     ):
-        with pytest.raises(NotLookingError, match="it is night"):
+        with pytest.raises(ProblemError, match="it is night"):
             refused()
     camera.rotate_if_due()
     assert (len(bench.display.shown), bench.sensor.captures) == (shown, captures)

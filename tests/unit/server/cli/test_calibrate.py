@@ -22,7 +22,7 @@ from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.decoding import Precision, read_frame
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import RecordFile, imperfections_of, open_calibration
+from veilcam_server.calibration.record import calibration_store, imperfections_of, open_calibration
 from veilcam_server.calibration.rig import CalibrationScene, Geometry, dark, lamp, white
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.cli import calibration_session
@@ -79,7 +79,7 @@ def test_command_keeps_what_was_found(
     for words in ("shift along y [um]", "drifted by", str(state / "calibration.json")):
         assert words in result.output
     assert (state / "calibration.png").read_bytes().startswith(b"\x89PNG")
-    signed = RecordFile(state / "calibration.json").read()
+    signed = calibration_store(state / "calibration.json").read()
     assert signed is not None
     assert signed.record.gain == found.record.gain
     assert read_frame(frame).imperfections == imperfections_of(signed.record)

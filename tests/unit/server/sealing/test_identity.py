@@ -14,7 +14,7 @@ from tests.unit.server.damage import DAMAGES
 
 from veilcam_server.errors import ProblemError, StartError
 from veilcam_server.sealing.identity import KEY_NAME, DeviceKey, _Seed
-from veilcam_server.system.state_file import StateFile
+from veilcam_server.system.state_file import StateStore
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_place_that_takes_no_key_is_said(tmp_path: Path) -> None:
     with pytest.raises(StartError, match=r"device-key\.json cannot be read \(Not a directory\)"):
         DeviceKey.open(blocked)
     (tmp_path / f"{KEY_NAME}.lock").mkdir()
-    with pytest.raises(StartError, match=r"device-key\.json cannot be used \(Is a directory\)"):
+    with pytest.raises(StartError, match=r"device-key\.json cannot be written \(Is a directory\)"):
         DeviceKey.open(tmp_path)
 
 
@@ -90,5 +90,5 @@ def test_of_two_who_make_it_at_once_both_have_the_same(
     """Somebody calibrates while the daemon starts."""
     first = DeviceKey.open(tmp_path)
     read = iter([None])
-    monkeypatch.setattr(StateFile, "read", lambda _: next(read))
+    monkeypatch.setattr(StateStore, "read", lambda _: next(read))
     assert DeviceKey.open(tmp_path).public == first.public

@@ -21,12 +21,7 @@ from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes import events
 from veilcam_server.errors import (
-    RateLimitError,
-    TooManyRequestsError,
-    TooManyStreamsError,
-    TooManyStreamsOfOneError,
-    TooManyUploadsError,
-    TooManyUploadsOfOneError,
+    ProblemError,
 )
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import DONE, read_audit
@@ -194,7 +189,7 @@ async def test_caller_that_asks_too_often_waits_and_others_do_not(
 
         assert [await ask(hasty) for _ in range(3)] == [200, 200, 429]
         refused = await client.get("/v1/status", headers=hasty)
-        assert refused.json()["code"] == "rate_limited"
+        assert refused.json()["code"] == "too_many_requests"
         assert refused.headers["retry-after"] == "2"
         assert await ask(other) == 200
         # Who guesses is slowed down, and locks nobody out.
@@ -275,8 +270,8 @@ async def test_daemon_without_tokens_says_how_to_make_one(
 async def test_one_caller_leaves_streams_to_others(running: Running, store: TokenStore) -> None:
     admission = Admission(
         tokens=store,
-        streams=ConcurrencyLimit(3, TooManyStreamsError),
-        streams_of_one=ConcurrencyLimit(2, TooManyStreamsOfOneError),
+        streams=ConcurrencyLimit(3),
+        streams_of_one=ConcurrencyLimit(2),
     )
     one, other, third = (bearer(store, "read:status") for _ in range(3))
     async with running(admission=admission) as client, asyncio.timeout(300):
@@ -287,10 +282,10 @@ async def test_one_caller_leaves_streams_to_others(running: Running, store: Toke
                 await asyncio.sleep(0.001)
             if number == 2:
                 refused = await client.get("/v1/events", headers=one)
-                assert refused.json()["code"] == "too_many_streams"
-                assert "2 of your event streams" in refused.json()["detail"]
+                assert refused.json()["code"] == "too_many_requests"
+                assert "2 of your requests" in refused.json()["detail"]
         refused = await client.get("/v1/events", headers=third)
-        assert "3 event streams are open" in refused.json()["detail"]
+        assert "3 of your requests" in refused.json()["detail"]
         assert not any(stream.done() for stream in streams)
         for stream in streams:
             stream.cancel()
@@ -310,16 +305,16 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         callers=1,
     )
     with open_admission(settings) as admission, ExitStack() as stack:
-        with pytest.raises(RateLimitError):
+        with pytest.raises(ProblemError):
             deque(map(admission.rate.take, 1000 * ["a"]))
-        for limit, most, error in (
-            (admission.concurrency, settings.concurrency, TooManyRequestsError),
-            (admission.streams, settings.streams, TooManyStreamsError),
-            (admission.streams_of_one, settings.caller_streams, TooManyStreamsOfOneError),
-            (admission.uploads, 4, TooManyUploadsError),
-            (admission.uploads_of_one, 2, TooManyUploadsOfOneError),
+        for limit, most in (
+            (admission.concurrency, settings.concurrency),
+            (admission.streams, settings.streams),
+            (admission.streams_of_one, settings.caller_streams),
+            (admission.uploads, 4),
+            (admission.uploads_of_one, 2),
         ):
             for name in ("b", *most * "a"):
                 stack.enter_context(limit.held(name))
-            with pytest.raises(error):
+            with pytest.raises(ProblemError):
                 stack.enter_context(limit.held("a"))

@@ -15,7 +15,7 @@ from tests.unit.server.damage import DAMAGES
 from tests.unit.server.security.conftest import bearer
 
 from veilcam_client.wire.tokens import NewToken
-from veilcam_server.errors import AuditError, ProblemError, StartError
+from veilcam_server.errors import ProblemError, StartError, StorageError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.limits import RateLimit
@@ -127,7 +127,7 @@ def test_audit_log_that_cannot_be_written_is_told_once_and_stops_nothing(
     told.log.write("last")
     assert told.log.lost == 3
     (fault,) = told.faults
-    assert isinstance(fault, AuditError)
+    assert isinstance(fault, StorageError)
     assert "cannot be written (No space left on device): check the state" in str(fault)
     assert capsys.readouterr().out.count("can be written again") == 1
     assert told.actions() == ["first", "last"]
@@ -144,14 +144,14 @@ def test_line_that_must_be_durable_is_or_is_refused(
     for _ in range(2):
         told.log.write("change", durable=True)
     assert flushed[1:] == ["a.jsonl", "a.jsonl"]
-    with full_disk(told.log), pytest.raises(AuditError, match="No space left"):
+    with full_disk(told.log), pytest.raises(StorageError, match="No space left"):
         told.log.write("lost", durable=True)
 
     def fail(descriptor: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(AuditError, match="Input/output error"):
+    with pytest.raises(StorageError, match="Input/output error"):
         told.log.write("in doubt", durable=True)
     assert told.log.lost == 2
     assert len(told.faults) == 1
@@ -163,7 +163,7 @@ def test_no_change_is_begun_while_nothing_can_be_written(told: Told) -> None:
     with full_disk(told.log):
         told.log.write("lost")
         for _ in range(2):
-            with pytest.raises(AuditError):
+            with pytest.raises(StorageError):
                 told.log.require()
     told.log.require()
     told.log.require()
@@ -249,13 +249,13 @@ async def test_no_change_is_acknowledged_whose_line_is_not_on_the_disk(
             assert (await client.post("/v1/captures")).is_success
             for captures in (6, 7):
                 answer = await client.put("/v1/rotation", json={**put, "captures": captures})
-                assert (answer.status_code, answer.json()["code"]) == (503, "audit_not_written")
+                assert (answer.status_code, answer.json()["code"]) == (503, "storage_failed")
                 assert answer.headers["Retry-After"] == "1"
                 policy = (await client.get("/v1/rotation")).json()["policy"]
                 assert policy == {**put, "reuse": 0}
             assert (await client.post("/v1/rotation/advance")).is_success
             refused = await client.put("/v1/rotation", json={"mode": "never"})
-            assert refused.json()["code"] == "audit_not_written"
+            assert refused.json()["code"] == "storage_failed"
         assert (await client.put("/v1/rotation", json={**put, "captures": 8})).is_success
         assert (await client.get("/v1/rotation")).json()["policy"]["captures"] == 8
     entries = read_audit(done._path)
@@ -277,7 +277,7 @@ async def test_change_whose_line_fails_is_not_answered_for(
         once = {"Idempotency-Key": "k"}
         with full_disk(done):
             answer = await client.post("/v1/tokens", json=asked, headers=once)
-        assert (answer.status_code, answer.json()["code"]) == (503, "audit_not_written")
+        assert (answer.status_code, answer.json()["code"]) == (503, "storage_failed")
         assert "secret" not in answer.text
         # It was made, and is told once that can be written down.
         again = await client.post("/v1/tokens", json=asked, headers=once)

@@ -11,7 +11,7 @@ from tests.unit.server.security.conftest import Clock, bearer
 from veilcam_client.wire.lease import Lease as LeaseAnswer
 from veilcam_client.wire.lease import NewLease
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.errors import LeasedError
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, AuditLog, read_audit
 from veilcam_server.security.lease import Lease
@@ -37,7 +37,7 @@ def test_lease_ends_by_itself_and_can_be_renewed() -> None:
     clock.now += 9.5
     assert lease.left == pytest.approx(0.5)
     for act in (lease.require, lease.release, lambda name: lease.take(name, "Bob", 1.0)):
-        with pytest.raises(LeasedError, match="'Ann' for another 1 s"):
+        with pytest.raises(ProblemError, match="'Ann' for another 1 s"):
             act("b")
     lease.take("a", "Ann", 10.0)
     clock.now += 9.5

@@ -9,7 +9,7 @@ import pytest
 from starlette.datastructures import Headers
 from tests.unit.server.security.conftest import Clock
 
-from veilcam_server.errors import TokenStoreError, UnauthorizedError
+from veilcam_server.errors import StorageError, UnauthorizedError
 from veilcam_server.security.sessions import (
     HEADER,
     LIFETIME,
@@ -127,12 +127,12 @@ def test_full_disk_keeps_nobody_out_and_is_told_of_where_a_session_should_end(
     sessions: SessionStore, tokens: TokenStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
-        raise OSError(28, "No space left on device")
+        raise StorageError("No space left on device")
 
     monkeypatch.setattr(sessions._file, "change", refuse)
     begun = begin(sessions, tokens)
     assert is_let_in(sessions, headers(begun))
-    with pytest.raises(TokenStoreError, match="No space left"):
+    with pytest.raises(StorageError, match="No space left"):
         sessions.end(headers(begun))
     assert not is_let_in(sessions, headers(begun))
 

@@ -18,7 +18,7 @@ from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import Epoch
-from veilcam_server.errors import NotReadyError, PolicyStoreError, SelfTestError
+from veilcam_server.errors import NotReadyError, SelfTestError, StorageError
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.scheduler import Scheduler
@@ -71,7 +71,7 @@ async def test_camera_that_is_ready_is_degraded_while_a_task_fails() -> None:
         for _ in range(2):
             found.sound("self test", RuntimeError(SECRET))
     assert found.state == DEFECT
-    found.sound("change of masks", PolicyStoreError("disk full"))
+    found.sound("change of masks", StorageError("disk full"))
     assert found.state == DEFECT
     found.clear("self test")
     assert found.state == FULL
@@ -96,7 +96,7 @@ async def test_state_of_the_camera_goes_before_alarms() -> None:
 
 async def test_camera_that_says_it_is_ready_is_not_believed_while_a_task_fails() -> None:
     found, told = alarms(Camera())
-    found.sound("change of masks", PolicyStoreError("disk full"))
+    found.sound("change of masks", StorageError("disk full"))
     safe = Condition("safe", "no answer", "check_panel_wiring")
     found.pass_on(partial(StateChanged, **safe._asdict()))
     found.pass_on(partial(StateChanged, state="ready"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
-from veilcam_server.errors import PolicyStoreError, ProblemError, RotationImpossibleError
+from veilcam_server.errors import ProblemError, RotationImpossibleError, StorageError
 from veilcam_server.service.rotation_policy import PolicyStore
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def test_lone_mask_stays_and_no_start_is_refused_for_the_state(rig: Rig) -> None
 
 def test_lone_mask_in_use_under_a_lost_policy_stays(rig: Rig) -> None:
     assert rig.start(OFTEN, renewable=False, configured=False) == OFF
-    assert [fault.code for fault in rig.faults] == ["rotation_impossible"]
+    assert [fault.code for fault in rig.faults] == ["conflict"]
     assert rig.start(OFTEN, renewable=True, configured=False) == OFTEN
 
 
@@ -125,13 +126,13 @@ def test_settings_that_do_not_fit_together_are_left_to_the_start(rig: Rig) -> No
 def test_policy_that_cannot_be_made_durable_is_an_error(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(update: object) -> None:
+    def full(_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     store = rig.open()
     store.set(SELDOM)
-    monkeypatch.setattr(store._file, "change", full)
-    with pytest.raises(PolicyStoreError, match=r"recorded \(No space left .*one before goes on"):
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match=r"\(No space left .*is what it was: check the state"):
         store.set(OFTEN)
     assert rig.start() == SELDOM
 
@@ -147,7 +148,7 @@ async def test_policy_is_durable_before_the_answer_or_not_in_use(
     service._events.subscribe(heard.append)
 
     def fail(policy: RotationPolicy) -> None:
-        raise PolicyStoreError("the disk is full")
+        raise StorageError("the disk is full")
 
     async with service.open():
         answer = await service.set_policy(OFTEN)
@@ -155,7 +156,7 @@ async def test_policy_is_durable_before_the_answer_or_not_in_use(
         assert store.at_start(OFF, renewable=True, configured=True) == OFTEN
         with monkeypatch.context() as patch:
             patch.setattr(store, "set", fail)
-            with pytest.raises(PolicyStoreError):
+            with pytest.raises(StorageError):
                 await service.set_policy(SELDOM)
         assert service.rotation().policy == OFTEN
         # Of two that are set at once, the one that is in use is the one on the disk.

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff, WatchPolicy
-from veilcam_server.errors import ProblemError, WatchStoreError
+from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.watch.policy import WatchStore, resting
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -45,9 +45,9 @@ def test_one_damaged_copy_changes_nothing(tmp_path: Path) -> None:
 
 def test_disk_that_takes_nothing_is_told(tmp_path: Path) -> None:
     store = WatchStore(tmp_path / "gone", OnRequest())
-    with pytest.raises(WatchStoreError, match=r"the one before goes on; check the state"):
+    with pytest.raises(StorageError, match=r"watch.json cannot be .* is what it was: check the"):
         store.set(TWICE)
-    with pytest.raises(WatchStoreError, match=r"the camera is off until a restart; check"):
+    with pytest.raises(StorageError, match=r"the camera is off until a restart: watch.json cannot"):
         store.set(WatchOff())
 
 

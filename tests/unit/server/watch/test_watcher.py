@@ -24,7 +24,7 @@ from veilcam_client.wire.watch import (
 )
 from veilcam_server.camera.engine import Condition
 from veilcam_server.devices.errors import DisplayError, SensorError
-from veilcam_server.errors import ProblemError, UndecidedError, WatchStoreError
+from veilcam_server.errors import ProblemError, StorageError, UndecidedError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system import clock as clock_of_machine
@@ -465,7 +465,7 @@ async def test_room_that_is_too_dark_to_begin_is_no_reason_to_refuse(
 async def test_policy_that_cannot_be_kept_does_not_hold(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.folder.rmdir()
-    with pytest.raises(WatchStoreError):
+    with pytest.raises(StorageError):
         await bench.watcher.set_policy(OnRequest())
     assert bench.watcher.policy == TWICE
     assert bench.camera.told == []
@@ -475,7 +475,7 @@ async def test_policy_that_cannot_be_kept_does_not_hold(make: Callable[..., Benc
 async def test_full_disk_keeps_nobody_from_switching_it_off(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.folder.rmdir()
-    with pytest.raises(WatchStoreError, match="off until a restart"):
+    with pytest.raises(StorageError, match="off until a restart"):
         await bench.watcher.set_policy(WatchOff())
     assert bench.watcher.state().activity == "off"
     assert bench.camera.told == ["the camera is switched off"]

