@@ -80,7 +80,7 @@ class AsyncEventStream:
     def _begin(self) -> None:
         self._process = os.getpid()
         self._end = AsyncEnd()
-        self._events = self._follow(self._resumption, self._end)
+        self._events = _follow(self._transport, self._resumption, self._end)
 
     def _leave_parent(self) -> None:
         """After a fork, go on over a connection of this process."""
@@ -89,51 +89,57 @@ class AsyncEventStream:
             self._before_fork += [self._events, self._end]
             self._begin()
 
-    async def _follow(self, resumption: Resumption, end: AsyncEnd) -> AsyncGenerator[Event, None]:
-        while True:
-            try:
-                async with aclosing(self._connect(resumption, end)) as events:
-                    async for event in events:
-                        resumption.heard(event)
-                        yield event
-            except VeilcamError as error:
-                if end.is_set():
-                    return
-                pause = resumption.pause(error)
-            if await end.sleep(pause):
-                return
 
-    async def _connect(self, resumption: Resumption, end: AsyncEnd) -> AsyncGenerator[Event, None]:
-        options = self._transport.options
-        with options.translate():
-            async with self._transport.client.stream(
-                "GET",
-                f"{options.base}/v1/events",
-                headers={**resumption.headers(), **new_call()},
-                timeout=options.limits(stream=True),
-            ) as response:
-                check_call(response)
-                if response.status_code != httpx.codes.OK:
-                    raise error_of(
-                        await async_whole_answer(response, options.until(CAMERA_TIMEOUT))
-                    )
-                if media_type(response) != "text/event-stream":
-                    raise unreadable(response, "no event stream")
-                with end.reach(response):
-                    for gap in resumption.opened():
-                        yield gap
-                    size = EventSize()
-                    bounded = httpx.Response(
-                        response.status_code,
-                        headers={"Content-Type": "text/event-stream; charset=utf-8"},
-                        content=_bounded(response, size),
-                    )
-                    async for message in EventSource(bounded).aiter_sse():
-                        size.ended()
-                        if message.event in EVENT_KINDS and message.data:
-                            yield event_of(message)
-        # Ended without an error: the daemon stops, or restarts.
-        raise ConnectError(f"{options.url} ended the stream")
+# Functions, not methods: a stream that is let go of is closed at once, by no collector of garbage
+# that may run while a lock of the connections is held.
+async def _follow(
+    transport: AsyncTransport, resumption: Resumption, end: AsyncEnd
+) -> AsyncGenerator[Event, None]:
+    while True:
+        try:
+            async with aclosing(_connect(transport, resumption, end)) as events:
+                async for event in events:
+                    resumption.heard(event)
+                    yield event
+        except VeilcamError as error:
+            if end.is_set():
+                return
+            pause = resumption.pause(error)
+        if await end.sleep(pause):
+            return
+
+
+async def _connect(
+    transport: AsyncTransport, resumption: Resumption, end: AsyncEnd
+) -> AsyncGenerator[Event, None]:
+    options = transport.options
+    with options.translate():
+        async with transport.client.stream(
+            "GET",
+            f"{options.base}/v1/events",
+            headers={**resumption.headers(), **new_call()},
+            timeout=options.limits(stream=True),
+        ) as response:
+            check_call(response)
+            if response.status_code != httpx.codes.OK:
+                raise error_of(await async_whole_answer(response, options.until(CAMERA_TIMEOUT)))
+            if media_type(response) != "text/event-stream":
+                raise unreadable(response, "no event stream")
+            with end.reach(response):
+                for gap in resumption.opened():
+                    yield gap
+                size = EventSize()
+                bounded = httpx.Response(
+                    response.status_code,
+                    headers={"Content-Type": "text/event-stream; charset=utf-8"},
+                    content=_bounded(response, size),
+                )
+                async for message in EventSource(bounded).aiter_sse():
+                    size.ended()
+                    if message.event in EVENT_KINDS and message.data:
+                        yield event_of(message)
+    # Ended without an error: the daemon stops, or restarts.
+    raise ConnectError(f"{options.url} ended the stream")
 
 
 async def _bounded(response: httpx.Response, size: EventSize) -> AsyncGenerator[bytes, None]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import httpx
 import pytest
+from tests.unit.client.conftest import Daemon, camera_of
 from tests.unit.client.http.conftest import Both
 
-from veilcam_client import EventStream
+from veilcam_client import Camera, EventStream
 from veilcam_client.errors import ProtocolError
 from veilcam_client.http.answers import MAX_EVENT
 
@@ -71,6 +73,23 @@ async def test_many_short_events_are_not_one_long_one(both: Both, short: bytes) 
     last = f"event: mask\ndata: {mask('e1')}\n\n".encode()
     both.daemon.first = [httpx.Response(200, stream=Pieces([*pieces, last]), headers=STREAM)]
     assert (await both(first_of)).epoch == "e1"
+
+
+def test_stream_that_is_let_go_of_is_closed_at_once(daemon: Daemon) -> None:
+    class Body(Pieces):
+        closed = False
+
+        def close(self) -> None:
+            self.closed = True
+
+    body = Body([f"event: mask\ndata: {mask('e1')}\n\n".encode()] * 2)
+    daemon.first = [httpx.Response(200, stream=body, headers=STREAM)]
+    gc.disable()
+    try:
+        assert next(camera_of(Camera, daemon).events()).kind == "mask"
+        assert body.closed
+    finally:
+        gc.enable()
 
 
 async def test_answer_that_is_no_event_stream_is_refused(both: Both) -> None:
