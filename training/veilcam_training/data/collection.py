@@ -117,9 +117,10 @@ class Collection(ABC):
             TrainingError: damaged pictures; all are named.
         """
         form = (3, *shape) if colour else shape
-        pixels: Pixels = np.empty((len(indices), *form), np.int32 if self.deep else np.uint8)
+        white = 65535 if self.deep else 255
+        pixels: Pixels = np.empty((len(indices), *form), np.uint8 if white == 255 else np.int32)
         for number, picture in enumerate(self.pictures(indices)):
-            pixels[number] = np.rint(as_scene(picture, form) * (65535 if self.deep else 255))
+            pixels[number] = np.rint(as_scene(picture, form) * white)
         return pixels
 
 
@@ -143,7 +144,7 @@ class Files(Collection):
         """Headers of the pictures, decoded whole, or the reasons why one cannot be used."""
         return tuple(map(_examine, self.paths))
 
-    @property
+    @cached_property
     def _headers(self) -> tuple[Header, ...]:
         self._refuse({i: each for i, each in enumerate(self._examined) if isinstance(each, str)})
         return tuple(each for each in self._examined if isinstance(each, Header))

@@ -137,12 +137,13 @@ def run_fit(
     for callback in callbacks:
         callback.stage("learning the mask")
     eye = _eye(model) if settings.hidden else None
+    known: SceneStatistics | None = None
     for attempt, least in enumerate((0.0,) if eye is None else COPIES):
         if attempt:
             model = make_model(settings, source, camera).to(device)
         if isinstance(model.encoder, LearnedMask):
             model.encoder.hide(least)
-        prepare(model, settings, parts.training)
+        known = prepare(model, settings, parts.training, known)
         again = attempt + 1 < len(COPIES)
         if again and model.measures_once and not settings.end_to_end and _seen(eye, model):
             continue  # what is learned from now on is the classifier alone

@@ -90,7 +90,12 @@ def make_model(settings: FitSettings, source: Source, camera: Camera) -> Lensles
         )
 
 
-def prepare(model: LenslessClassifier, settings: FitSettings, training: Images) -> None:
+def prepare(
+    model: LenslessClassifier,
+    settings: FitSettings,
+    training: Images,
+    known: SceneStatistics | None = None,
+) -> SceneStatistics | None:
     """Prepare a fit: a model that reads the estimate of scenes is told their statistics.
 
     Then its mask is learned, and held.
@@ -99,10 +104,14 @@ def prepare(model: LenslessClassifier, settings: FitSettings, training: Images) 
         model: model of :func:`make_model`.
         settings: settings of its fit.
         training: images to fit it to.
+        known: statistics of the same images, from an earlier call.
+
+    Returns:
+        Statistics of the scenes; None where the model has no use for them.
     """
     if model.estimate is None:
-        return
-    statistics = scene_statistics(
+        return None
+    statistics = known or scene_statistics(
         training,
         model.change,
         pooling=1,
@@ -114,6 +123,7 @@ def prepare(model: LenslessClassifier, settings: FitSettings, training: Images) 
     if isinstance(model.encoder, LearnedMask):
         model.estimate.learn_mask()
         model.encoder.hold()
+    return statistics
 
 
 def _scene_task(scene: Scene, channels: int, classes: int) -> SceneTask:
