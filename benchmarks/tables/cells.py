@@ -19,6 +19,28 @@ CELLS_READ: Figures = {
         (f"{name}_core_minutes", "time of a fit, one core", "{:.1f} min"),
     )
 } | {
+    "mnist_fixed_6x8_fill": (
+        "data",
+        "MNIST behind a fixed mask, 6 x 8, fill .1, FC-800, noise of photons",
+        "{:.2f} %",
+    ),
+    "mnist_fixed_6x8_fill_40db": ("data", "the same, noise at 40 dB", "{:.2f} %"),
+    "fill_oracle_honest": ("data", "honest plans of light, of jobs with a fill below 1", "{:.3f}"),
     "head_numpy_ms": ("data", "reading one picture in colour in NumPy, 27 x 36", "{:.1f} ms"),
     "fresh_colour_prepare_s": ("data", "preparing a fresh mask in colour, 27 x 36", "{:.2f} s"),
 }
+OWN_PICTURES: Figures = {
+    "budget_kept_ratio": (
+        "data",
+        "processor time of a fit with `--budget 3m`, of the budget",
+        "{:.2f}",
+    ),
+    "photographs_accuracy": ("data", "200 test photographs read right after that fit", "{:.1f} %"),
+    "photographs_agreement": ("data", "labels of `predict` that the daemon gives, too", "{:.1f} %"),
+    "resume_identical": (
+        "data",
+        "killed three times and resumed, the result is the same",
+        "{:.0f}",
+    ),
+}
+"""Fit of 5,000 photographs in colour, ten classes, 27 x 36."""

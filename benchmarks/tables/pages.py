@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, SERVED, fills
-from benchmarks.tables.cells import CELLS_READ
+from benchmarks.tables.cells import CELLS_READ, OWN_PICTURES
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
@@ -29,6 +29,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [REFUSED],
     "docs/device.md": [fills],
+    "docs/own-pictures.md": [OWN_PICTURES],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],
