@@ -3,6 +3,7 @@
 import os
 import re
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -131,9 +132,8 @@ def fit_command(
     load = partial(load_settings, config, chosen, found=recognise(data))
     settings, source = opened(load, data, skip_damaged=skip_damaged)
     source, camera = ReadOnce(source), Camera()
-    folder = run_folder(
-        out, f"{Path(os.path.abspath(data)).name}-{settings.embedding}", resume=resume
-    )
+    shown = Path(os.path.abspath(data)).name
+    folder = run_folder(out, f"{shown}-{settings.embedding}", resume=resume)
     if tensorboard is not None:
         check_folder("--tensorboard", tensorboard)
     check_fit(settings, source, camera, budget=seconds)
@@ -162,9 +162,14 @@ def fit_command(
         )
     if bundle is not None:
         write_bundle(folder / BUNDLE, bundle)
-    lines = _sentences(result, bundle)
-    _report(folder, name, result, source, lines)
-    for line in (*lines, f"wrote {folder}/report.html", _next(folder, bundle)):
+    hidden = () if bundle is None or bundle.hiding is None else sentences(bundle.hiding)
+    _report(folder, f"{shown}: {name}", result, source, hidden)
+    for line in (
+        *_sentences(result, bundle),
+        *hidden,
+        f"wrote {folder}/report.html",
+        _next(folder, bundle),
+    ):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -220,21 +225,25 @@ def _sentences(result: FitResult | FreshResult, bundle: Bundle | None) -> list[s
         error = result.transfer_error if isinstance(result, FitResult) else None
         said.append(light_line(result.light, error))
     if bundle is None:
-        return [*said, "no bundle: a device cannot show this camera"]
-    return [*said, *(() if bundle.hiding is None else sentences(bundle.hiding))]
+        said.append("no bundle: a device cannot show this camera")
+    return said
 
 
 def _report(
-    folder: Path, name: str, result: FitResult | FreshResult, source: Source, said: list[str]
+    folder: Path,
+    title: str,
+    result: FitResult | FreshResult,
+    source: Source,
+    hidden: Sequence[str],
 ) -> None:
     from veilcam_training.experiments.report import Report, write_report  # noqa: PLC0415 - slow
 
     history, settings = result.fit.history, result.settings
     first = history[0]
     report = Report(
-        title=f"{source.name}, {settings.embedding}",
-        facts=_facts(settings, name, result),
-        sentences=said,
+        title=title,
+        facts=_facts(settings, result),
+        sentences=hidden,
         labels=source.labels,
         history=history,
         images=source.test(),
@@ -244,12 +253,9 @@ def _report(
     write_report(folder, report)
 
 
-def _facts(
-    settings: FitSettings, name: str, result: FitResult | FreshResult
-) -> list[tuple[str, str]]:
+def _facts(settings: FitSettings, result: FitResult | FreshResult) -> list[tuple[str, str]]:
     best, last = result.fit.best, result.fit.history[-1]
     return [
-        ("fit", name),
         ("epoch", f"{best.number + 1} of {result.fit.epochs}, chosen on the validation part"),
         ("validation", f"{100 * best.validation_accuracy:.2f} %"),
         ("processor time", minutes(last.processor_seconds)),
