@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -42,7 +41,6 @@ MOMENTS = (0.0, 0.3, 0.7)
 """Shares of a fit's epochs after which it is killed: the first time while it learns the mask."""
 INTO = 3.0
 """Time from such a moment to the kill [s]."""
-PICTURES = ("accuracy", "confusion", "worst")
 
 
 def run(*arguments: str) -> str:
@@ -151,9 +149,6 @@ def same(one: Bundle, other: Bundle) -> bool:
 def shapes(
     count: Annotated[int, typer.Option(help="Pictures to draw.")] = 2000,
     seed: Annotated[int, typer.Option(help="Seed of the pictures; the mask's is secret.")] = 1,
-    pictures: Annotated[
-        Path | None, typer.Option(help="Folder for copies of the report's pictures.")
-    ] = None,
     figures: FiguresOption = None,
 ) -> None:
     """Draw, fit and serve shapes; ask the daemon about every test picture."""
@@ -168,9 +163,6 @@ def shapes(
             "folder_commands": 3,
             "predict_agreement": agreement(out / BUNDLE, shown, labels),
         }
-        if pictures is not None:
-            for picture in PICTURES:
-                shutil.copyfile(out / f"{picture}.png", pictures / f"own-pictures-{picture}.png")
     print(values)
     record(figures, values)
 

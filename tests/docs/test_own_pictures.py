@@ -58,7 +58,7 @@ def test_tutorial_leads_from_pictures_to_labels(
         assert "star" in run(classify, VEILCAM_URL=url)
     lines = [line.split("\t") for line in run(predict).splitlines()]
     right = sum(Path(path).parent.name == label for path, label, _ in lines)
-    # Chance is a fifth; three other seeds read 98 % and more.
+    # Chance is a fifth; two other fits within this budget or twice as much read all.
     assert len(lines) == 400
     assert right >= 0.9 * len(lines)
     made = {path.name for path in Path("fitted").iterdir()}
