@@ -62,7 +62,7 @@ class Handler(BaseHTTPRequestHandler):
             "bundles": {
                 "bundles": [
                     {"digest": digest, "active": active, "bundle": {}, "configured": digest < "1"}
-                    for digest, active in self.server.bundles.items()
+                    for digest, active in list(self.server.bundles.items())
                 ]
             },
             "tokens": {
@@ -80,8 +80,8 @@ class Handler(BaseHTTPRequestHandler):
         if self.path == "/v1/bundles":
             self.server.bundles[digest] = False
         elif self.path.endswith("activate"):
-            for name in self.server.bundles:
-                self.server.bundles[name] = name in self.path
+            # One assignment: of two callers at once, one bundle is active all the same.
+            self.server.bundles = {name: name in self.path for name in list(self.server.bundles)}
         elif self.path == "/v1/tokens":
             self.server.tokens[digest] = None
         elif self.path == "/v1/receivers":
