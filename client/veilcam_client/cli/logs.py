@@ -10,15 +10,7 @@ from typing import Annotated
 import typer
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from veilcam_client.cli.terminal import (
-    FORGED,
-    Ask,
-    DeviceOption,
-    JsonOption,
-    asking,
-    errors,
-    tell,
-)
+from veilcam_client.cli.terminal import FORGED, Ask, DeviceOption, JsonOption, asking, errors, tell
 from veilcam_client.errors import FileError
 from veilcam_client.log_file import fetch_log
 from veilcam_client.wire.captures import Capture, Classification

@@ -179,10 +179,10 @@ class Log:
         Returns:
             Names of the files, and the newest position.
         """
-        flush = None
+        flush, refused = None, entry is not None and entry.kind == "refused"
         try:
             with self._guard:
-                if entry is not None and entry.kind == "refused" and self._share_is_full():
+                if refused and self._refused > self._limit // REFUSED_SHARE:
                     self._untold += 1
                 elif not self._closed:
                     with self._alone():
@@ -204,9 +204,6 @@ class Log:
                 self._report(fault)
             raise fault from None
         return end
-
-    def _share_is_full(self) -> bool:
-        return self._refused > self._limit // REFUSED_SHARE
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
