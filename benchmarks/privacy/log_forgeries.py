@@ -1,10 +1,10 @@
-"""Logs of captures with one record forged: how many of them pass for whole.
+"""Logs with one record forged: how many of them pass for whole.
 
     python -m benchmarks.privacy.log_forgeries --figures benchmarks/results/log.json
 
 Every log is written by the daemon's own. In each, one record has one bit flipped, or is dropped, or
-changes places with another one. The newest record is not dropped without a head that was signed
-after it: nothing else could show that.
+changes places with another one. The newest record is not dropped without a head that was kept
+elsewhere: nothing else could show that.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import secrets
 import statistics
 import tempfile
 import time
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from itertools import cycle
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -24,14 +24,12 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from veilcam_client.keys.capture_log import ID_DIGITS, line_of
-from veilcam_client.keys.log_check import examine
+from veilcam_client.keys.commitments import ID_DIGITS
+from veilcam_client.keys.log import line_of, verify_log
 from veilcam_client.wire.captures import Capture, Embedding
-from veilcam_client.wire.log import LoggedCapture, LogHead
 from veilcam_server.camera.capture import Provenance
-from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
-from veilcam_server.sealing.segments import Segments
+from veilcam_server.security.log import Log
 from veilcam_server.service.responses import logged
 from veilcam_server.system.state_file import log_fault
 
@@ -39,7 +37,7 @@ SEGMENT, KEPT = 4000, 2
 """Small files, so that some logs begin where the oldest records were dropped [bytes, files]."""
 START = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
-Forged: TypeAlias = tuple[list[bytes], LogHead | None]
+Forged: TypeAlias = tuple[list[bytes], bytes | None]
 """Lines, and the head that they are checked with."""
 
 
@@ -55,54 +53,51 @@ class Campaign:
         self._key = DeviceKey(Ed25519PrivateKey.generate())
         self.kinds = {"flipped": self.flipped, "dropped": self.dropped, "swapped": self.swapped}
 
-    def log(self, captures: int) -> tuple[list[bytes], LogHead]:
-        """Lines of a log over two lives of a daemon, and its head."""
+    def log(self, captures: int) -> list[bytes]:
+        """Lines of a log over two lives of a daemon."""
         with tempfile.TemporaryDirectory() as folder:
             for _ in range(2):
-                log = CaptureLog(
-                    Segments(Path(folder) / "log", limit=SEGMENT, kept=KEPT), self._key
-                )
+                log = Log(Path(folder) / "log", self._key, limit=SEGMENT, kept=KEPT)
                 log.begin(log_fault)
                 for number in range(captures):
-                    log.append(self._capture(number))
-                found, head = log.records(None, 1000), log.head()
+                    log.append("capture", self._capture(number))
+                    log.append("request", {"action": "PUT /v1/rotation", "status": 200})
+                found = log.records(None, 1000)
                 log.close()
-        return [line_of(each) for each in found.records], head
+        return [line_of(each) for each in found.records]
 
-    def missed(self, kind: str, lines: list[bytes], head: LogHead) -> bool:
+    def missed(self, kind: str, lines: list[bytes]) -> bool:
         """Whether one more forgery of this kind passes for whole."""
-        forged, shown = self.kinds[kind](lines, head)
-        return not examine(_content(forged), device=self._key.public, head=shown).findings
+        forged, shown = self.kinds[kind](lines)
+        return not verify_log(_content(forged), device=self._key.public, head=shown).findings
 
-    def flipped(self, lines: list[bytes], _: LogHead) -> Forged:
+    def flipped(self, lines: list[bytes]) -> Forged:
         """One bit of one record is another."""
         place = self._chance.randrange(len(lines))
         line = bytearray(lines[place])
         line[self._chance.randrange(len(line))] ^= 1 << self._chance.randrange(8)
         return [*lines[:place], bytes(line), *lines[place + 1 :]], None
 
-    def dropped(self, lines: list[bytes], head: LogHead) -> Forged:
-        """One record is gone; with the newest, the head is asked."""
+    def dropped(self, lines: list[bytes]) -> Forged:
+        """One record is gone; with the newest, the head shows it."""
         place = self._chance.randrange(len(lines))
-        return lines[:place] + lines[place + 1 :], head if place == len(lines) - 1 else None
+        return lines[:place] + lines[place + 1 :], lines[-1] if place == len(lines) - 1 else None
 
-    def swapped(self, lines: list[bytes], _: LogHead) -> Forged:
+    def swapped(self, lines: list[bytes]) -> Forged:
         """Two records have changed places."""
         one, other = sorted(self._chance.sample(range(len(lines)), 2))
         forged = lines.copy()
         forged[one], forged[other] = lines[other], lines[one]
         return forged, None
 
-    def _capture(self, number: int) -> LoggedCapture:
-        return LoggedCapture(
-            epoch=secrets.token_hex(16),
-            number=number,
-            taken_at=START + timedelta(seconds=number),
-            mask=secrets.token_hex(32),
-            tested_s=60,
-            calibration=None,
-            answer=secrets.token_hex(32),
-        )
+    def _capture(self, number: int) -> dict[str, str | int]:
+        return {
+            "epoch": secrets.token_hex(16),
+            "number": number,
+            "mask": secrets.token_hex(32),
+            "tested_s": 60,
+            "answer": secrets.token_hex(32),
+        }
 
 
 def forgeries(count: int, seed: int) -> tuple[int, int]:
@@ -113,13 +108,13 @@ def forgeries(count: int, seed: int) -> tuple[int, int]:
     """
     campaign, missed, refused, left = Campaign(seed), 0, 0, count
     while left:
-        # Of 8 to 22 records; what the longer ones began with was dropped by the camera.
-        lines, head = campaign.log(captures=2 + left % 8)
-        refused += bool(examine(_content(lines), head=head).findings)
+        # Of 12 to 40 records; what the longer ones began with was dropped by the camera.
+        lines = campaign.log(captures=2 + left % 8)
+        refused += bool(verify_log(_content(lines), head=lines[-1]).findings)
         # As many forgeries as it has records.
         for _, kind in zip(lines, cycle(campaign.kinds), strict=False):
             if left:
-                missed += campaign.missed(kind, lines, head)
+                missed += campaign.missed(kind, lines)
                 left -= 1
     return missed, refused
 
@@ -131,7 +126,7 @@ def record_ms(captures: int = 1000) -> float:
     values = np.random.default_rng(0).random((24, 32), np.float32)
     embedding = Embedding.from_array(values, form="white")
     with tempfile.TemporaryDirectory() as folder:
-        log = CaptureLog.of(Path(folder), DeviceKey(Ed25519PrivateKey.generate()))
+        log = Log(Path(folder) / "log", DeviceKey(Ed25519PrivateKey.generate()))
         log.begin(log_fault)
         for number in range(captures):
             answer = Capture(
@@ -142,7 +137,7 @@ def record_ms(captures: int = 1000) -> float:
                 embedding=embedding,
             )
             begun = time.perf_counter()
-            log.append(logged(answer, provenance))
+            log.append("capture", logged(answer, provenance, "3f9a1c20"))
             took.append(time.perf_counter() - begun)
         log.close()
     return 1e3 * statistics.median(took)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from veilcam_client.http.async_streams import AsyncEventStream
     from veilcam_client.http.options import DEFAULT_URL
     from veilcam_client.http.streams import EventStream
-    from veilcam_client.log_file import fetch_log, verify_log
+    from veilcam_client.keys.log import verify_log
+    from veilcam_client.log_file import fetch_log
     from veilcam_client.recording import Recording, read_recording, record
 
     __version__: str
@@ -46,7 +47,7 @@ _OWNERS = {
     "DEFAULT_URL": "http.options",
     "EventStream": "http.streams",
     "fetch_log": "log_file",
-    "verify_log": "log_file",
+    "verify_log": "keys.log",
     "Recording": "recording",
     "read_recording": "recording",
     "record": "recording",

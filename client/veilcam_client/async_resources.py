@@ -20,7 +20,7 @@ from veilcam_client.wire.calibration import (
     SceneName,
 )
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
-from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
+from veilcam_client.wire.log import RECORDS_AT_ONCE, LogRecords
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -153,7 +153,7 @@ class AsyncReceiverResource(AsyncResource):
         """Seal to one receiver more, from the next mask on.
 
         Args:
-            label: label for people; it stands in the status and in the audit log.
+            label: label for people; it stands in the status and in the log.
             key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
             timeout: time-out of the call in all [s].
         """
@@ -250,13 +250,14 @@ class AsyncWatchResource(AsyncResource):
 
 
 class AsyncLogResource(AsyncResource):
-    """Signed log of what was answered; see docs/capture-log.md."""
+    """Signed log of what left, and of who changed it; see docs/capture-log.md."""
 
     async def list(
         self,
         *,
         limit: int = RECORDS_AT_ONCE,
         after: int | None = None,
+        newest: bool = False,
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> LogRecords:
         """Return records, the oldest first.
@@ -264,15 +265,13 @@ class AsyncLogResource(AsyncResource):
         Args:
             limit: greatest number of records.
             after: position after which records are wanted, as ``next`` of an answer names it.
+            newest: True: the newest records, instead of the oldest.
             timeout: time-out of the call in all [s].
         """
         start = "" if after is None else f"&after={whole('after', after, 0)}"
+        start += "&newest=true" if newest else ""
         path = f"/v1/log?limit={whole('limit', limit, 1, RECORDS_AT_ONCE)}{start}"
         return await self._transport.send(Call("GET", path, LogRecords), timeout)
-
-    async def head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
-        """Return the signed end of the log: keep it, and what is dropped from that end shows."""
-        return await self._transport.send(Call("GET", "/v1/log/head", LogHead), timeout)
 
 
 class AsyncSimulationResource(AsyncResource):

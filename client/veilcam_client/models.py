@@ -29,7 +29,7 @@ from veilcam_client.wire.captures import (
     Timing,
 )
 from veilcam_client.wire.lease import Lease, NewLease
-from veilcam_client.wire.log import LogHead, LogRecord, LogRecords
+from veilcam_client.wire.log import LogRecord, LogRecords
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -88,7 +88,6 @@ __all__ = [
     "InstalledBundles",
     "Lease",
     "LightFaults",
-    "LogHead",
     "LogRecord",
     "LogRecords",
     "MaskHiding",

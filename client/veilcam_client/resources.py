@@ -21,7 +21,7 @@ from veilcam_client.wire.calibration import (
     SceneName,
 )
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
-from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
+from veilcam_client.wire.log import RECORDS_AT_ONCE, LogRecords
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -150,7 +150,7 @@ class ReceiverResource(Resource):
         """Seal to one receiver more, from the next mask on.
 
         Args:
-            label: label for people; it stands in the status and in the audit log.
+            label: label for people; it stands in the status and in the log.
             key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
             timeout: time-out of the call in all [s].
         """
@@ -243,13 +243,14 @@ class WatchResource(Resource):
 
 
 class LogResource(Resource):
-    """Signed log of what was answered; see docs/capture-log.md."""
+    """Signed log of what left, and of who changed it; see docs/capture-log.md."""
 
     def list(
         self,
         *,
         limit: int = RECORDS_AT_ONCE,
         after: int | None = None,
+        newest: bool = False,
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> LogRecords:
         """Return records, the oldest first.
@@ -257,15 +258,13 @@ class LogResource(Resource):
         Args:
             limit: greatest number of records.
             after: position after which records are wanted, as ``next`` of an answer names it.
+            newest: True: the newest records, instead of the oldest.
             timeout: time-out of the call in all [s].
         """
         start = "" if after is None else f"&after={whole('after', after, 0)}"
+        start += "&newest=true" if newest else ""
         path = f"/v1/log?limit={whole('limit', limit, 1, RECORDS_AT_ONCE)}{start}"
         return self._transport.send(Call("GET", path, LogRecords), timeout)
-
-    def head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
-        """Return the signed end of the log: keep it, and what is dropped from that end shows."""
-        return self._transport.send(Call("GET", "/v1/log/head", LogHead), timeout)
 
 
 class SimulationResource(Resource):

@@ -48,10 +48,10 @@ from veilcam_server.errors import (
 )
 from veilcam_server.gate.protocol import Connections
 from veilcam_server.gate.server import GateServer
-from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import open_admission
+from veilcam_server.security.log import FOLDER, Log
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.replay import replay_service
@@ -148,6 +148,7 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
+        Log(settings.state_dir / FOLDER, key),
         BundleManager(store, opener, keys),
         CalibrationService(settings, bundle, key, signed),
         form=lambda: terms().form,
@@ -159,7 +160,6 @@ def build_service(settings: Settings) -> Service:
         break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
-        capture_log=CaptureLog.of(settings.state_dir, key),
         watch=watch,
         held=held,
     )
@@ -243,7 +243,7 @@ def _serve(
     with no_garbage():
         service = build_service(settings)
     try:
-        with open_admission(settings, service.report) as admission:
+        with open_admission(settings, service.log, service.report) as admission:
             room = room_for(settings.connections)
             connections = Connections(*room)
             config = uvicorn.Config(

@@ -44,7 +44,7 @@ QUIET = {
     f'veilcam_state{{{CAMERA}, state="safe"}}': "0x180",
     f"veilcam_epoch_age_seconds{{{CAMERA}}}": "30x180",
     f'veilcam_faults_total{{{CAMERA}, code="sensor_failed"}}': "3x180",
-    f"veilcam_audit_lines_lost_total{{{CAMERA}}}": "0x180",
+    f"veilcam_log_entries_missed_total{{{CAMERA}}}": "0x180",
     f'veilcam_connections_dropped_total{{{CAMERA}, reason="header"}}': "0+30x180",
     **{f'{SECONDS}, le="{bound}"}}': "0+60x180" for bound in ("1.0", "2.5", "+Inf")},
 }
@@ -54,7 +54,7 @@ TROUBLE: dict[str, tuple[str, str]] = {
     "VeilcamSafe": (f'veilcam_state{{{CAMERA}, state="safe"}}', "1x180"),
     "VeilcamMaskOld": (f"veilcam_epoch_age_seconds{{{CAMERA}}}", "86500+60x180"),
     "VeilcamFaults": (f'veilcam_faults_total{{{CAMERA}, code="sensor_failed"}}', "0+1x180"),
-    "VeilcamAuditLost": (f"veilcam_audit_lines_lost_total{{{CAMERA}}}", "0+1x180"),
+    "VeilcamLogMissed": (f"veilcam_log_entries_missed_total{{{CAMERA}}}", "0+1x180"),
     "VeilcamUnderSiege": (
         f'veilcam_connections_dropped_total{{{CAMERA}, reason="header"}}',
         "0+90x180",

@@ -19,6 +19,7 @@ VIEWS = {
     "Privacy": ("/#privacy", "text=These masks have no privacy card"),
     "Tokens": ("/#tokens", "[aria-label='Revoke all']"),
     "Events": ("/#events", "text=Masks and captures, too"),
+    "Log": ("/#log", "text=start 0"),
     "The API": ("/docs", "article"),
     LOG_IN: ("/#", "text=Token"),
 }

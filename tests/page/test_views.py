@@ -1,4 +1,4 @@
-"""The other views in Chromium: health, calibration, privacy, tokens, events, and the API."""
+"""The other views in Chromium: health, calibration, privacy, tokens, events, log, and the API."""
 
 from __future__ import annotations
 
@@ -127,6 +127,23 @@ def test_events_stand_there_as_they_happen(open_page: Open, daemon: Daemon) -> N
     with daemon.camera() as camera:
         camera.rotation.advance()
     expect(masks).not_to_have_count(0)
+
+
+def test_log_says_what_left_and_who_changed_what(open_page: Open, daemon: Daemon) -> None:
+    page = open_page("/#log")
+    expect(page.get_by_text("start 0", exact=True)).to_be_visible()
+    with daemon.camera() as camera:
+        before = camera.rotation.get().policy
+        answer = camera.classify()
+        camera.rotation.set(before)
+    page.get_by_role("button", name="Load again").click()
+    expect(page.get_by_text("action PUT /v1/rotation").first).to_be_visible()
+    expect(page.get_by_text(f"epoch {answer.epoch}, number {answer.number}")).to_be_visible()
+    token = daemon.make_token("no log", ("read:status",))
+    other = open_page(known=False)
+    log_in(other, token)
+    other.get_by_role("link", name="Log", exact=True).click()
+    expect(other.get_by_text("This token may not read the log.")).to_be_visible()
 
 
 def test_the_api_is_a_page_of_the_daemon(open_page: Open) -> None:

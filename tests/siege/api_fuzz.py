@@ -6,7 +6,7 @@ that are revoked or missing. It has stored masks and raw embeddings, or fresh ma
 leave white or sealed. No answer may be a 5xx but a documented 503, nor have a status, a media type
 or a shape that the document does not name.
 
-Then every header, body, line of the log and of the audit files is searched for secrets (``leaks``).
+Then every header, body, line of both logs is searched for secrets (``leaks``).
 Epoch keys are those that the daemon draws: :func:`serve` writes them beside its state.
 """
 
@@ -43,7 +43,7 @@ from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.daemon import serve as serve_daemon
 from veilcam_server.demo_data import BUNDLE, FRESH
 from veilcam_server.sealing.receivers import ReceiverStore
-from veilcam_server.security.audit import DONE, REFUSED
+from veilcam_server.security.log import FOLDER
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import read_bundle
@@ -301,8 +301,7 @@ def ask_daemon(ground: Ground, release: Release) -> tuple[Findings, list[str]]:
     closed.add_bundle(bundle)
     closed.add_tokens(token for token in callers.values() if token is not None)
     closed.add_device(state)
-    audits = (*state.glob(f"{DONE}*"), *state.glob(f"{REFUSED}*"))
-    for path in (state.with_name("veilcamd.log"), *audits):
+    for path in (state.with_name("veilcamd.log"), *(state / FOLDER).iterdir()):
         for number, line in enumerate(path.read_bytes().splitlines(), start=1):
             findings.left.setdefault(_UNIQUE.sub(b"", line), f"{path.name}, line {number}")
     return findings, leaked + findings.leaks(closed)

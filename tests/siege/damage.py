@@ -131,7 +131,7 @@ async def _kept(address: Address) -> dict[str, object]:
         "calibration": (await address.get("calibration"))["signed"],
         "receivers": await address.get("receivers"),
         # Each start and stop adds a record of its own; those of captures stay what they are.
-        "log": [each["signature"] for each in records if each["entry"]["kind"] == "capture"],
+        "log": [each["signature"] for each in records if each["kind"] == "capture"],
     }
 
 

@@ -26,7 +26,6 @@ from tests.siege.witness import Life, Witness
 from veilcam_client.keys.receivers import Receiver, ReceiverKey
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_server.security.audit import DONE as DONE_LOG
 from veilcam_server.settings import Settings
 
 CALIBRATED, REVOKED, LABELLED = 0.25, 0.5, 0.5
@@ -170,7 +169,7 @@ async def killed(ground: Ground, judgement: Judgement) -> None:
         with ExitStack() as stack:
             # A start takes seconds, in which the questions to a twin go on.
             daemon = await asyncio.to_thread(stack.enter_context, ground.start(settings, token))
-            await lineage.ledger.compare(daemon.address, settings.state_dir / DONE_LOG, life)
+            await lineage.ledger.compare(daemon.address, settings.state_dir, life)
             if last:
                 return life
             async with listening(daemon.address) as stream:

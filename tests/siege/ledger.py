@@ -11,9 +11,9 @@ from typing import Any
 from tests.siege.client import Address, Reply
 from tests.siege.ground import tokens_of
 from tests.siege.witness import Life
+from tests.unit.server.logs import events
 
 from veilcam_client.wire.captures import Capture
-from veilcam_server.security.audit import read_audit
 from veilcam_server.security.key_record import LIFETIME
 
 ADVANCE, KEY = "/v1/rotation/advance", "Idempotency-Key"
@@ -31,7 +31,7 @@ class Ledger:
     noted: set[str] = field(default_factory=set)
     lost: list[str] = field(default_factory=list)
 
-    async def compare(self, address: Address, audit: Path, life: Life) -> None:
+    async def compare(self, address: Address, state: Path, life: Life) -> None:
         rotation = await address.get("rotation")
         bundles = (await address.get("bundles"))["bundles"]
         paired = {each["id"] for each in (await address.get("receivers"))["receivers"]}
@@ -45,7 +45,7 @@ class Ledger:
         self.paired = self._compared("receiver", self.paired, paired)
         self._keep("token", self.valid <= valid)
         self._keep("revocation", not self.revoked & valid)
-        self._keep("audit line", self.noted <= {each.get("request") for each in read_audit(audit)})
+        self._keep("entry", self.noted <= {each.get("request") for each in events(state)})
         if self.key is not None:
             key, asked = self.key
             repeated = await address.ask("POST", ADVANCE, headers={KEY: key})

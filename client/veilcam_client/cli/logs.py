@@ -1,64 +1,53 @@
-"""``veilcam log`` and ``veilcam verify``: fetch a capture log, and check it without the camera."""
+"""``veilcam log`` and ``veilcam verify``: print or fetch a log, and check it without the camera."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from veilcam_client.cli.terminal import (
-    FORGED,
-    USAGE,
-    Ask,
-    DeviceOption,
-    JsonOption,
-    asking,
-    errors,
-    fail,
-    tell,
+from veilcam_client.cli.terminal import FORGED, Ask, DeviceOption, JsonOption, asking, errors, tell
+from veilcam_client.errors import FileError
+from veilcam_client.log_file import fetch_log
+from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.log import RECORDS_AT_ONCE, LogRecord
+
+_ANSWER: TypeAdapter[Capture | Classification] = TypeAdapter(
+    Classification | Capture, config=ConfigDict(defer_build=True)
 )
-from veilcam_client.log_file import fetch_log, verify_log
-
-if TYPE_CHECKING:
-    from veilcam_client.keys.log_check import Examination
-
-LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="Of records, one a line.")]
+_FILE = typer.Argument(metavar="FILE", help="Of records, one a line.")
 
 
 @asking()
 def log(
     ask: Ask,
-    file: LogFile,
+    file: Annotated[Path | None, _FILE] = None,
     *,
-    head: Annotated[
-        Path | None, typer.Option(help="Write the signed head of the log to this file.")
-    ] = None,
+    last: Annotated[int, typer.Option(min=1, max=RECORDS_AT_ONCE, help="Records to print.")] = 100,
 ) -> None:
-    """Fetch the signed log of what a camera answered, or go on where FILE ends.
+    """Print what left a camera and who changed it, or fetch the signed log into FILE.
 
-    A token needs read:log.
+    A FILE that is there is gone on with. A token needs read:log.
     """
     with ask.camera() as camera:
-        added, ends = fetch_log(camera.log, file)
-    if head is not None:
-        try:
-            head.write_text(f"{ends.model_dump_json()}\n")
-        except OSError as error:
-            fail(f"cannot write {head}: {error.strerror}", USAGE)
-    found = {"added": added, "file": str(file), "position": ends.position}
-    words = f"{added} records more in {file}, up to record {ends.position}"
-    ask.tell(found, words)
+        if file is None:
+            page = camera.log.list(limit=last, newest=True)
+            ask.tell(page.model_dump(mode="json"), "\n".join(map(_in_words, page.records)))
+        else:
+            added = fetch_log(camera.log, file)
+            ask.tell({"added": added, "file": str(file)}, f"{added} records more in {file}")
 
 
 def verify(
-    file: LogFile,
+    file: Annotated[Path, _FILE],
     *,
     device: DeviceOption = None,
     head: Annotated[
-        Path | None, typer.Option(help="Signed head that the log must have had, as JSON.")
+        Path | None, typer.Option(help="Earlier copy of the log, or its last line.")
     ] = None,
     answer: Annotated[
         Path | None, typer.Option(help="Answer that must be in it, as JSON and as it left.")
@@ -66,33 +55,41 @@ def verify(
     json: JsonOption = False,
 ) -> None:
     """Check a log, and exit with 17 if something does not hold. No camera is asked."""
+    from veilcam_client.keys.log import verify_log  # noqa: PLC0415 - late: the cryptography
+
     with errors():
-        found = verify_log(file, device=device, head=head, answer=answer)
-    told = {
-        "holds": not found.findings,
-        "records": found.records,
-        "captures": found.captures,
-        "device": found.device,
-        "answer": found.answer,
-        "findings": [str(finding) for finding in found.findings],
-        "said": [str(said) for said in found.said],
-    }
-    tell(told, "\n".join(_in_words(found, whose=device)), json=json)
+        content, before = _content(file), None if head is None else _content(head)
+        try:
+            given = None if answer is None else _ANSWER.validate_json(_content(answer))
+            found = verify_log(content, device=device, head=before, answer=given)
+        except ValidationError:
+            raise FileError(f"{answer} holds something else: give the answer as JSON") from None
+        except ValueError as error:
+            raise FileError(f"{answer}: {error}") from None
+    words = [f"the camera says: {said}" for said in found.said]
+    words += [f"wrong: {finding}" for finding in found.findings]
+    if found.answer is not None:
+        words.append(f"the answer is that of record {found.answer}")
+    if found.device is not None:
+        words.append(f"device {found.device}")
+    holds = f"{len(found.findings)} findings" if found.findings else "all of it holds"
+    if device is None and not found.findings:
+        holds += ", for whoever has that device's key: give --device to know that it is yours"
+    words.append(f"{found.records} records, {found.captures} captures: {holds}")
+    tell({"holds": not found.findings, **asdict(found)}, "\n".join(words), json=json)
     if found.findings:
         sys.exit(FORGED)
 
 
-def _in_words(found: Examination, *, whose: str | None) -> Iterator[str]:
-    """Return the findings, a line each."""
-    for said in found.said:
-        yield f"the camera says: {said}"
-    for finding in found.findings:
-        yield f"wrong: {finding}"
-    if found.answer is not None:
-        yield f"the answer is that of record {found.answer}"
-    if found.device is not None:
-        yield f"device {found.device}"
-    holds = f"{len(found.findings)} findings" if found.findings else "all of it holds"
-    if whose is None and not found.findings:
-        holds += ", for whoever has that device's key: give --device to know that it is yours"
-    yield f"{found.records} records, {found.captures} captures: {holds}"
+def _in_words(record: LogRecord) -> str:
+    words = "  ".join(f"{name} {value}" for name, value in record.facts.items())
+    # Paths and labels are whatever somebody sent: no control character reaches the terminal.
+    words = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in words)
+    return f"{record.position:>6}  {record.at:%Y-%m-%d %H:%M:%S}  {record.kind:<8}  {words}"
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FileError(f"{path} cannot be read ({error.strerror}): check it") from None

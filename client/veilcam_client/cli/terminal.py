@@ -41,7 +41,7 @@ EXIT_CODES_HELP = (
 """Of all commands."""
 USAGE, DEVICE = 2, 7
 FORGED = 17
-"""A log of captures does not hold."""
+"""A log does not hold."""
 EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ArgumentError, USAGE),
     (ConnectError, 3),

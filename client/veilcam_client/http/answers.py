@@ -22,7 +22,7 @@ from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
 from veilcam_client.wire.events import EVENT, Event
 
 MAX_ANSWER = 8 * 2**20
-"""More than any answer of a daemon has: the largest is a page of the log of captures [bytes]."""
+"""More than any answer of a daemon has: the largest is a page of the log [bytes]."""
 MAX_EVENT = 2**20
 """No event of a daemon comes near [bytes]."""
 

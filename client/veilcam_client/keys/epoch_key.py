@@ -62,7 +62,7 @@ class EpochKey:
         return self._derived(b"veilcam embedding sealing 1")
 
     def commitment(self) -> bytearray:
-        """Key that the capture log commits to the mask under, 32 bytes."""
+        """Key that the log commits to the mask under, 32 bytes."""
         return self._derived(b"veilcam mask commitment 1")
 
     def reveal(self) -> bytearray:

@@ -162,7 +162,7 @@ class Capture(ArrayAnswer):
 
     id: str
     """192 random bits, 48 hexadecimal digits: events name it by the first 16, and the rest keeps
-    the log of captures from telling what was answered."""
+    the log from telling what was answered."""
     epoch: str
     """Random name of one showing of one mask: it tells nothing but equal or not."""
     number: int = Field(ge=0)

@@ -67,7 +67,7 @@ class ReceiverRequest(Question):
     """A receiver to be paired with."""
 
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
-    """For whom or what it is; it stands in the status and in the audit log."""
+    """For whom or what it is; it stands in the status and in the log."""
     key: str = Field(repr=False, max_length=2048, pattern=r"^veilcam-receiver:[A-Za-z0-9+/=]+$")
     """Its public key, as ``veilcam receiver keygen`` prints it."""
 

@@ -150,8 +150,8 @@ class Diagnostics(Answer):
     """Number of events of each kind since the start."""
     fault_counts: Mapping[str, int]
     """Number of faults of each code since the start."""
-    audit_lost: int
-    """Lines of the audit log that could not be written."""
+    log_missed: int
+    """Entries of the log that could not be written."""
 
 
 class DoctorFinding(Answer):
@@ -223,7 +223,7 @@ EXAMPLES = Examples(
             ),
             events={"capture": 1200, "mask": 120},
             fault_counts={"sensor_failed": 1},
-            audit_lost=0,
+            log_missed=0,
         ),
     )
 )

@@ -37,7 +37,7 @@ class TokenRequest(Question):
     """A token to be made."""
 
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
-    """For whom or what it is; it stands in the audit log."""
+    """For whom or what it is; it stands in the log."""
     scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
     """Scopes of the token."""
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)

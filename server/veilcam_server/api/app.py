@@ -42,7 +42,7 @@ _PASSING = (
     *(simulation.PATH, session.PATH, watch.PATH),
 )
 """Of what is done there a restart leaves nothing, or it is to switch the camera off: a full disk
-under the audit log stops none of it, and its line may be lost where the power is."""
+under the log stops none of it, and its line may be lost where the power is."""
 _ROUTES = (
     *(captures, rotation, events, lease, log, tokens, receivers, diagnostics, calibration, bundles),
     *(session, simulation, watch, public, page),
@@ -97,7 +97,7 @@ def create_app(
     service.give_way(lambda: admission.lease.holding is not None)
     app.state.admission = admission
     app.state.checkups = diagnostics.Checkups(examine)
-    app.state.metrics = metrics = Metrics(service, admission.audit, connections)
+    app.state.metrics = metrics = Metrics(service, connections)
     for routes in _ROUTES:
         app.include_router(routes.router)
     app.add_middleware(HeadRequests)

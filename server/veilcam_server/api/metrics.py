@@ -13,7 +13,6 @@ from prometheus_client.registry import Collector
 
 from veilcam_client.wire.status import State
 from veilcam_server.gate.protocol import Connections, Reason
-from veilcam_server.security.audit import AuditLog
 from veilcam_server.service.service import Service
 
 BUCKETS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -32,13 +31,10 @@ class Metrics:
 
     Args:
         service: service whose events are counted.
-        audit: audit log whose losses are counted; None where there is none.
         connections: connections at the gate; None where there is none.
     """
 
-    def __init__(
-        self, service: Service, audit: AuditLog | None, connections: Connections | None = None
-    ) -> None:
+    def __init__(self, service: Service, connections: Connections | None = None) -> None:
         self._registry = CollectorRegistry()
         self._seconds = Histogram(
             "veilcam_http_request_duration_seconds",
@@ -47,7 +43,7 @@ class Metrics:
             registry=self._registry,
             buckets=BUCKETS,
         )
-        self._registry.register(_Daemon(service, audit))
+        self._registry.register(_Daemon(service))
         if connections is not None:
             self._registry.register(_Gate(connections))
         ProcessCollector(registry=self._registry)
@@ -69,8 +65,8 @@ class Metrics:
 
 
 class _Daemon(Collector):
-    def __init__(self, service: Service, audit: AuditLog | None) -> None:
-        self._service, self._audit = service, audit
+    def __init__(self, service: Service) -> None:
+        self._service = service
 
     def collect(self) -> Iterator[Metric]:
         status, history = self._service.status(), self._service.history
@@ -97,9 +93,10 @@ class _Daemon(Collector):
         yield GaugeMetricFamily(
             "veilcam_queued_captures", "Captures that wait.", value=status.queue.waiting
         )
-        lost = 0 if self._audit is None else self._audit.lost
         yield CounterMetricFamily(
-            "veilcam_audit_lines_lost", "Audit lines not written.", value=lost
+            "veilcam_log_entries_missed",
+            "Entries of the log that could not be written.",
+            value=self._service.log.missed,
         )
 
 

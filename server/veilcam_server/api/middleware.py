@@ -1,4 +1,4 @@
-"""Around every request: its id, who asks, its body, audit, log line, and the last resort."""
+"""Around every request: its id, who asks, its body, its entry in the log, and the last resort."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ from veilcam_server.system.logs import log_defect
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 MAX_PATH = 128
-"""Longest path that the audit log repeats."""
+"""Longest path that the log repeats."""
+_LOGGED = ("/v1/captures", "/v1/classifications")
+"""Answers there have an entry of their own, which names the caller."""
 
 log = structlog.get_logger()
 
@@ -126,7 +128,7 @@ class RequestContext:
                         state["caller"] = stack.enter_context(admitted)
                     body.require_media_type(headers)
                     if self._is_change(scope):
-                        await asyncio.to_thread(self._admission.require_audit)
+                        await asyncio.to_thread(self._admission.require_log)
                 except ProblemError as error:
                     response = error_response(scope, error)
                     await response(scope, receive, send_with_id)
@@ -146,7 +148,7 @@ class RequestContext:
             )
             await response(scope, receive, send_with_id)
         finally:
-            # The audit log has what was done. A line for every question would let anybody fill the
+            # The signed log has what was done. A line for every question would let anybody fill the
             # disk under the log.
             log.debug(
                 "request",
@@ -173,7 +175,7 @@ class RequestContext:
                 # What has a tag may be kept, and says so itself.
                 if "ETag" not in fields:
                     fields["Cache-Control"] = "no-store"
-                await self._audit(scope, answer.status, _peer(scope))
+                await self._enter(scope, answer.status, _peer(scope))
                 self._metrics.observe(*_names(scope), answer.status, time.monotonic() - begun)
             await send(message)
 
@@ -192,10 +194,10 @@ class RequestContext:
         return scope["method"] in ("GET", "HEAD") and scope["path"] in self._open_paths
 
     def _is_change(self, scope: Scope) -> bool:
-        """Return whether an action has to be in the audit log on disk before it is acknowledged."""
+        """Return whether an action has to be in the log on disk before it is acknowledged."""
         return scope["method"] not in ("GET", "HEAD") and scope["path"] not in self._passing
 
-    async def _audit(self, scope: Scope, status: int, peer: str) -> None:
+    async def _enter(self, scope: Scope, status: int, peer: str) -> None:
         """Note everything but what was only read; who watches the events learns what is seen.
 
         Raises:
@@ -204,7 +206,8 @@ class RequestContext:
         path, state = scope["path"], scope["state"]
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
         # A monitor that is told 'no' is not refused.
-        if only_read and state["problem"] is None:
+        well = state["problem"] is None
+        if well and (only_read or path in _LOGGED):
             return
         durable = status < 400 and self._is_change(scope)
         note = partial(

@@ -51,7 +51,7 @@ def problem_response(
     errors: tuple[FieldError, ...] = (),
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return the answer to the request of ``scope``, and leave the code for the audit log."""
+    """Return the answer to the request of ``scope``, and leave the code for the log."""
     kind, state = PROBLEMS[code], scope["state"]
     state["problem"] = code
     problem = _problem(

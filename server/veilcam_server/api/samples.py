@@ -59,7 +59,6 @@ SAMPLES: Mapping[str, Sample] = {
     ),
     "release_lease": Sample("camera.lease.release()"),
     "log": Sample("camera.log.list()"),
-    "log_head": Sample("camera.log.head()"),
     "tokens": Sample("camera.tokens.list()"),
     "create_token": Sample(
         'camera.tokens.create("lamp", ["classify"], seconds=86_400)',

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 
-from veilcam_client.keys.capture_log import calibration_digest
+from veilcam_client.keys.commitments import calibration_digest
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_client.wire.rotation import Preparation as PreparationStatus

@@ -134,7 +134,7 @@ class ActiveMask:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Entry of the capture log beside an answer."""
+    """Entry of the log beside an answer."""
 
     mask: str
     """Commitment to the mask that it names, 64 hexadecimal digits."""
@@ -169,7 +169,7 @@ class Captured(Protocol):
 
     @property
     def provenance(self) -> Provenance | None:
-        """Entry of the capture log; None: a recording is not logged as if it were a capture."""
+        """Entry of the log; None: a recording is not logged as if it were a capture."""
 
     def classify(self) -> Prediction:
         """Return the label, as the reader of its own mask tells it."""

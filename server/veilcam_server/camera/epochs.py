@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 
 from veilcam_client.keys.blocks import Sealer
-from veilcam_client.keys.capture_log import mask_commitment
+from veilcam_client.keys.commitments import mask_commitment
 from veilcam_client.keys.envelopes import Signer, seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import Receiver
@@ -38,7 +38,7 @@ class Epoch:
     form: Release
     """In which embeddings leave, from its preparation to its end."""
     commitment: str
-    """To its mask, under a key that is gone; what the capture log says of it."""
+    """To its mask, under a key that is gone; what the log says of it."""
     sealer: Sealer | None = field(default=None, repr=False)
     """Seals embeddings to the receivers; None: to nobody."""
     receivers: tuple[Receiver, ...] = field(default=(), repr=False)

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from veilcam_client import __version__
-from veilcam_server.cli import audit, calibrate, doctor, serve, state, tokens
+from veilcam_server.cli import calibrate, doctor, serve, state, tokens
 from veilcam_server.cli.terminal import JsonOption, enter_state, fail
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.errors import StartError
@@ -27,7 +27,6 @@ app = typer.Typer(
 app.command()(serve.serve)
 app.command()(doctor.doctor)
 app.add_typer(tokens.app, name="token")
-app.command()(audit.audit)
 app.command()(calibrate.calibrate)
 for command in (state.backup, state.restore, state.wipe):
     app.command()(command)

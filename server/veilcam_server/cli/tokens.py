@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import getpass
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from veilcam_server.security.tokens import TokenStore
 
 Note = Callable[[str, Token], None]
-"""Writes an action and its token to the audit log."""
+"""Writes an action and its token to the log."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -102,8 +102,9 @@ def revoke(
 
 @contextmanager
 def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, Note]]:
-    # Imported late: --help need not wait for them.
-    from veilcam_server.security.audit import DONE, AuditLog  # noqa: PLC0415
+    # Imported late: --help need not wait for them, and the folder's owner may not read them.
+    from veilcam_server.sealing.identity import DeviceKey  # noqa: PLC0415
+    from veilcam_server.security.log import FOLDER, Log  # noqa: PLC0415
     from veilcam_server.security.tokens import TokenStore  # noqa: PLC0415
 
     directory = state_dir or default_state_dir()
@@ -111,14 +112,12 @@ def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, Note]]:
     enter_state(directory)
     try:
         store = TokenStore(directory, report=lambda fault: typer.echo(str(fault), err=True))
-        audit = AuditLog(directory / DONE)
 
         def note(action: str, token: Token) -> None:
-            audit.write(action, durable=True, token=token.id, label=token.label, user=user)
+            with closing(Log(directory / FOLDER, DeviceKey.open(directory))) as log:
+                said = {"action": action, "token": token.id, "label": token.label, "user": user}
+                log.append("command", said, durable=True)
 
-        try:
-            yield store, note
-        finally:
-            audit.close()
+        yield store, note
     except (ProblemError, StartError) as error:
         fail(str(error))

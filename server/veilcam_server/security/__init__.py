@@ -1,1 +1,1 @@
-"""Security: callers, their scopes and limits, and the audit log."""
+"""Security: callers, their scopes and limits, and the log."""

@@ -1,4 +1,4 @@
-"""Admission of requests to the service: host, tokens, limits, and the audit log."""
+"""Admission of requests to the service: host, tokens, limits, and the log."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
+from veilcam_client.wire.log import Kind
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.errors import (
     StorageError,
     UnauthorizedError,
 )
-from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
+from veilcam_server.security.log import Log
 from veilcam_server.security.sessions import HEADER, SessionStore
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
@@ -42,8 +43,7 @@ class Admission:
     Attributes:
         tokens: None lets everybody in who reaches the daemon.
         site: site whose ``Host`` is answered, and the pages that may ask.
-        audit: audit log of callers; None in tests.
-        refused: brake on requests without a valid token, or from another host or site.
+        log: log of what callers do; None in tests.
         rate: limit of the rate of one caller.
         concurrency: limit of the requests of one caller that are under way.
         streams: greatest number of open event streams, all callers together.
@@ -58,8 +58,7 @@ class Admission:
 
     tokens: TokenStore | None = None
     site: Site = field(default_factory=Site)
-    audit: AuditLog | None = None
-    refused: AuditLog | None = None
+    log: Log | None = None
     rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
     concurrency: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64))
     streams: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64, STREAMS))
@@ -75,10 +74,10 @@ class Admission:
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
     sessions: SessionStore | None = None
 
-    def require_audit(self) -> None:
+    def require_log(self) -> None:
         """Raise :class:`StorageError` while what callers do cannot be written down."""
-        if self.audit is not None:
-            self.audit.require()
+        if self.log is not None:
+            self.log.require()
 
     def note(
         self,
@@ -89,7 +88,7 @@ class Admission:
         durable: bool = False,
         **details: str | int,
     ) -> None:
-        """Write to the audit log what was done or refused.
+        """Write to the log what was done or refused.
 
         Args:
             caller: None where there was no valid token.
@@ -102,13 +101,13 @@ class Admission:
             StorageError: it must be durable, and is not.
         """
         # Who asks too often must not push out what others did.
-        if code == "too_many_requests":
-            return
-        log = self.refused if caller is None else self.audit
-        if log is None:
+        if code == "too_many_requests" or self.log is None:
             return
         who = {} if caller is None else {"caller": caller.id, "label": caller.label}
-        log.write(action, durable=durable, code=code, **who, **details)
+        outcome = {} if code is None else {"code": code}
+        kind: Kind = "refused" if caller is None else "request"
+        facts: dict[str, str | int] = {"action": action, **outcome, **who, **details}
+        self.log.append(kind, facts, durable=durable)
 
     @contextmanager
     def admitted(self, headers: Headers, peer: str) -> Iterator[Caller]:
@@ -158,40 +157,32 @@ class Admission:
 
 
 @contextmanager
-def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[Admission]:
+def open_admission(
+    settings: Settings, camera_log: Log | None = None, report: Report = log_fault
+) -> Iterator[Admission]:
     """Yield what stands in front of a daemon.
 
     Args:
         settings: settings of the daemon.
+        camera_log: log of what callers do; None in tests.
         report: takes what was damaged of its state.
 
     Raises:
         StartError: the state directory cannot be used.
     """
-    audit = AuditLog(settings.state_dir / DONE, report=report)
-    refused = AuditLog(settings.state_dir / REFUSED, report=report)
     tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
     sessions = None if tokens is None else SessionStore(settings.state_dir, tokens, report)
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
-    audit.write("start", auth=settings.auth)
-    try:
-        yield Admission(
-            tokens,
-            Site(
-                settings.hosts, settings.serves_others, settings.frame_ancestors, settings.root_path
-            ),
-            audit,
-            refused,
-            RateLimit(settings.rate, settings.burst),
-            ConcurrencyLimit(settings.concurrency),
-            ConcurrencyLimit(settings.streams, STREAMS),
-            ConcurrencyLimit(settings.caller_streams, STREAMS_OF_ONE),
-            keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
-            settings=settings.redacted(),
-            sessions=sessions,
-        )
-    finally:
-        audit.write("stop")
-        refused.close()
-        audit.close()
+    yield Admission(
+        tokens,
+        Site(settings.hosts, settings.serves_others, settings.frame_ancestors, settings.root_path),
+        camera_log,
+        RateLimit(settings.rate, settings.burst),
+        ConcurrencyLimit(settings.concurrency),
+        ConcurrencyLimit(settings.streams, STREAMS),
+        ConcurrencyLimit(settings.caller_streams, STREAMS_OF_ONE),
+        keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
+        settings=settings.redacted(),
+        sessions=sessions,
+    )

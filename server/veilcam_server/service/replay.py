@@ -29,6 +29,8 @@ from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices import Device
 from veilcam_server.errors import ReplayingError, StartError
 from veilcam_server.masks.source import Evidence, MaskSource
+from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.security.log import FOLDER, Log
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import HeldDirectory
@@ -48,6 +50,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
     if status.release == "none":  # no camera released these
         raise StartError(f"{path} was recorded from a camera that releases nothing: record another")
     form = status.release
+    held = HeldDirectory(settings.state_dir)
     return Service(
         ReplayedCamera(recording),
         Identity(
@@ -60,13 +63,14 @@ def replay_service(settings: Settings, path: Path) -> Service:
             status.bundle,
             experiment=status.experiment,
         ),
+        Log(settings.state_dir / FOLDER, DeviceKey.open(settings.state_dir)),
         None,
         CalibrationService(settings, None, None),
         form=lambda: form,
         raw_budget=status.raw_budget,
         queue_limit=settings.queue,
         heartbeat=settings.heartbeat,
-        held=HeldDirectory(settings.state_dir),
+        held=held,
     )
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
-from veilcam_client.keys.capture_log import answer_digest
+from veilcam_client.keys.commitments import answer_digest
 from veilcam_client.wire.captures import (
     Capture,
     Classification,
@@ -18,9 +18,10 @@ from veilcam_client.wire.captures import (
     Prediction,
     SealedEmbedding,
 )
-from veilcam_client.wire.log import AGE_STEP, LoggedCapture
 from veilcam_server.camera.capture import Captured, Provenance
 
+AGE_STEP = 60
+"""Step of the age of a self test in the log [s]: when light ended one early is not told."""
 Scores = Literal["none", "rounded", "all"]
 """What is told of a label's probability: nothing, tenths, or all of it."""
 
@@ -61,17 +62,20 @@ def classification_response(
     )
 
 
-def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCapture:
-    """Return the entry of the capture log for an answer that is about to leave."""
-    return LoggedCapture(
-        epoch=answer.epoch,
-        number=answer.number,
-        taken_at=answer.taken_at,
-        mask=provenance.mask,
-        tested_s=AGE_STEP * math.ceil(provenance.tested / AGE_STEP),
-        calibration=provenance.calibration,
-        answer=answer_digest(answer),
-    )
+def logged(
+    answer: Capture | Classification, provenance: Provenance, caller: str | None
+) -> dict[str, str | int]:
+    """Return the facts for the log of an answer that is about to leave to a caller."""
+    facts: dict[str, str | int | None] = {
+        "epoch": answer.epoch,
+        "number": answer.number,
+        "mask": provenance.mask,
+        "tested_s": AGE_STEP * math.ceil(provenance.tested / AGE_STEP),
+        "calibration": provenance.calibration,
+        "answer": answer_digest(answer),
+        "caller": caller,
+    }
+    return {name: value for name, value in facts.items() if value is not None}
 
 
 def _told(prediction: Prediction, scores: Scores) -> Prediction:

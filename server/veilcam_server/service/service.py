@@ -18,7 +18,7 @@ import numpy.typing as npt
 import structlog
 
 from veilcam_client import __version__
-from veilcam_client.keys.capture_log import ID_DIGITS, NAME_DIGITS
+from veilcam_client.keys.commitments import ID_DIGITS, NAME_DIGITS
 from veilcam_client.wire.base import API_VERSION
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.captures import Capture, Classification
@@ -53,7 +53,7 @@ from veilcam_server.errors import (
     UnsteadyLightError,
 )
 from veilcam_server.masks.source import Evidence
-from veilcam_server.sealing.capture_log import CaptureLog
+from veilcam_server.security.log import Log
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.pairing import Pairing
@@ -84,6 +84,7 @@ class Service:
     Args:
         camera: camera with its first mask on the panel.
         identity: identity for the status.
+        log: log of what leaves, and of who changes it.
         bundles: bundles, of which one is in use; None: labels and masks come from a recording.
         calibration: calibration that measures the camera.
         form: tells in which embeddings leave, from the next epoch on.
@@ -95,7 +96,6 @@ class Service:
         break_device: breaks and mends a simulated device; None: nobody may.
         faults: faults that were found before; they are told once this is open.
         policies: store of the rotation policy; None: it lasts no longer than this.
-        capture_log: log of answers; None: a recording is replayed, and nothing is logged.
         watch: settings of the watch; None: a recording is replayed.
         held: state directory, which other daemons may have once this has stopped; None: there is
             none.
@@ -105,6 +105,7 @@ class Service:
         self,
         camera: CameraEngine,
         identity: Identity,
+        log: Log,
         bundles: BundleManager | None,
         calibration: CalibrationService,
         *,
@@ -117,14 +118,13 @@ class Service:
         break_device: Callable[[Faults], None] | None = None,
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
-        capture_log: CaptureLog | None = None,
         watch: WatchSetup | None = None,
         held: HeldDirectory | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self._form, self._raw_budget, self._pairing = form, raw_budget, pairing
         self._bundles, self._scenes, self._policies = bundles, scenes, policies
-        self._break, self._held, self._log = break_device, held, capture_log
+        self._break, self._held, self._log = break_device, held, log
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
@@ -158,8 +158,7 @@ class Service:
             self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
         self._found: list[ProblemError] | None = list(faults)
-        if capture_log is not None:
-            capture_log.begin(self.report)
+        log.begin(self.report)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
         camera.listen(self._alarms.pass_on)
 
@@ -213,8 +212,7 @@ class Service:
             self._let_go()
 
     def _let_go(self) -> None:
-        if self._log is not None:
-            self._log.close()
+        self._log.close()
         if self._held is not None:
             self._held.close()
 
@@ -242,10 +240,8 @@ class Service:
         return self._pairing
 
     @property
-    def capture_log(self) -> CaptureLog:
-        """Return the capture log; raises :class:`ReplayingError` where nothing is logged."""
-        if self._log is None:
-            raise ReplayingError
+    def log(self) -> Log:
+        """Log of what leaves, and of who changes it."""
         return self._log
 
     @property
@@ -322,8 +318,11 @@ class Service:
             await self._queue.run(self._camera.rotate)
         return self.rotation()
 
-    async def capture(self) -> Capture:
+    async def capture(self, caller: str | None = None) -> Capture:
         """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
+
+        Args:
+            caller: caller that it leaves to.
 
         Raises:
             ProblemError: this daemon releases no embeddings, or to nobody.
@@ -334,14 +333,17 @@ class Service:
             return capture_response(name, captured, captured.release(queued))
 
         with self._admitted():
-            return await self._answered(answer, release=True)
+            return await self._answered(answer, release=True, caller=caller)
 
-    async def classify(self, *, include_embedding: bool, scores: Scores = "none") -> Classification:
+    async def classify(
+        self, *, include_embedding: bool, scores: Scores = "none", caller: str | None = None
+    ) -> Classification:
         """Take one embedding and classify it with the reader of its own mask.
 
         Args:
             include_embedding: True: the embedding leaves, too.
             scores: scores that are told beside the label.
+            caller: caller that it leaves to.
 
         Raises:
             ProblemError: the embedding is wanted, and it may not leave.
@@ -355,7 +357,7 @@ class Service:
             return classification_response(name, captured, prediction, embedding, scores)
 
         with self._admitted():
-            told = await self._answered(answer, release=include_embedding)
+            told = await self._answered(answer, release=include_embedding, caller=caller)
         self._events.publish(
             partial(
                 Classified,
@@ -427,12 +429,15 @@ class Service:
         with self._queue.admitted():
             yield
 
-    async def _answered(self, make: MakeAnswer[AnswerT], *, release: bool) -> AnswerT:
+    async def _answered(
+        self, make: MakeAnswer[AnswerT], *, release: bool, caller: str | None
+    ) -> AnswerT:
         """Take one measurement, and answer while the device serves the next one.
 
         Args:
             make: the answer.
             release: True: the embedding leaves.
+            caller: caller that it leaves to.
         """
         begun, name = time.monotonic(), secrets.token_hex(ID_DIGITS // 2)
 
@@ -441,7 +446,9 @@ class Service:
             captured = self._camera.capture(release=release)
             try:
                 # From here and not from the event loop, which would only hand it on.
-                future = self._inference_thread.submit(self._logged, make, name, captured, queued)
+                future = self._inference_thread.submit(
+                    lambda: self._logged(make(name, captured, queued), captured, caller)
+                )
             except BaseException:
                 captured.done()
                 raise
@@ -480,13 +487,11 @@ class Service:
 
         return await asyncio.wrap_future(await self._queue.run(work))
 
-    def _logged(
-        self, make: MakeAnswer[AnswerT], name: str, captured: Captured, queued: float
-    ) -> AnswerT:
-        """Make an answer, which is in the log before anybody has it."""
-        answer, provenance = make(name, captured, queued), captured.provenance
-        if self._log is not None and provenance is not None:
-            self._log.append(logged(answer, provenance))
+    def _logged(self, answer: AnswerT, captured: Captured, caller: str | None) -> AnswerT:
+        """Return an answer once it is in the log; what is replayed is not logged."""
+        if captured.provenance is not None:
+            facts = logged(answer, captured.provenance, caller)
+            self._log.append("capture", facts, at=answer.taken_at)
         return answer
 
     def _require_released(self) -> None:

@@ -301,7 +301,7 @@ class StateStore(Generic[StateT]):
     def _locked(self, patience: float) -> Iterator[int]:
         lock = open_file(self._lock, os.O_RDWR | os.O_CREAT)
         try:
-            _lock(lock, patience)
+            lock_within(lock, patience)
             yield lock
         finally:
             os.close(lock)
@@ -375,7 +375,8 @@ def _aside(path: Path) -> Path:
     return path.with_name(f"{path.name}.damaged")
 
 
-def _lock(descriptor: int, patience: float) -> None:
+def lock_within(descriptor: int, patience: float) -> None:
+    """Keep a file to this process; raises :class:`TimeoutError` where another keeps it [s]."""
     until = time.monotonic() + patience
     while True:
         try:

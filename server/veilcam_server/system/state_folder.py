@@ -19,20 +19,20 @@ from pathlib import Path
 from veilcam_server.errors import StartError
 
 _FILE = re.compile(
-    r"[a-z-]+\.json(\.copy)?|[a-z-]+\.json\.lock|[a-z-]+\.jsonl(\.\d+)?|\d+\.jsonl"
+    r"[a-z-]+\.json(\.copy)?|[a-z-]+\.json\.lock|\d+\.jsonl"
     r"|[0-9a-f]{64}\.veilcam|idempotency-[01]|scene\.npy"
 )
 """Names of state files, each of which has to be a regular file."""
-_FOLDERS = ("bundles", "capture-log")
+_FOLDERS = ("bundles", "log")
 """Folders within the state folder."""
 _STATE = re.compile(
-    rf"(?:{_FILE.pattern})(?:\.damaged|\.new)?|(?:bundles|capture-log(?:\.damaged)?)/[\w-][\w.-]*",
+    rf"(?:{_FILE.pattern})(?:\.damaged|\.new)?|(?:bundles|log(?:\.damaged)?)/[\w-][\w.-]*",
     re.ASCII,
 )
 """Names of all files of a state folder, as paths in it."""
 _NO_FILE = (*(errno.EEXIST, errno.EINVAL, errno.EISDIR, errno.ELOOP, errno.ENOTDIR, errno.ENXIO),)
 """Errors of what is neither file nor folder where there has to be one."""
-_SIGNS = ("device-key.json", "tokens.json", "audit.jsonl", "scene.npy")
+_SIGNS = ("device-key.json", "tokens.json", "scene.npy")
 """Files of which at least one is in a state folder that was used."""
 
 

@@ -72,7 +72,9 @@ class FakeCamera:
                 write_scene(settings.scene_file, load_digits().images[0])
             service = build_service(settings)
             undo.callback(service.stop)
-            self._admission = undo.enter_context(open_admission(settings, service.report))
+            self._admission = undo.enter_context(
+                open_admission(settings, service.log, service.report)
+            )
             app = create_app(service, self._admission)
             self._url = undo.enter_context(_served(app, folder / "api.sock"))
             undo.callback(service.end_streams)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import re
 import signal
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING
 import httpx
 import numpy as np
 import pytest
+from tests.unit.server.logs import events
 from typer.testing import CliRunner
 
 from veilcam_client import AsyncCamera, Camera, VeilcamError
@@ -29,7 +29,6 @@ from veilcam_client.models import EveryCaptures, EverySeconds, Watching, WatchOf
 from veilcam_client.wire.events import Classified, MaskChanged
 from veilcam_server.cli.main import app
 from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_server.security.audit import DONE
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
@@ -76,9 +75,7 @@ def test_requests_that_reach_the_application(options: list[str], tmp_path: Path)
         assert client.head("/v1/events").status_code == 200
         assert client.head("/healthz").headers["content-length"] == "3"
         client.post("/v1/captures", headers={"X-Forwarded-For": "192.0.2.1"})
-    entries = [json.loads(line) for line in (tmp_path / "state" / DONE).read_text().splitlines()]
-    assert entries[-1]["action"] == "POST /v1/captures"
-    assert entries[-1]["peer"] == "127.0.0.1"
+    assert [each["caller"] for each in events(tmp_path / "state", "capture")] == ["127.0.0.1"]
 
 
 @pytest.mark.thorough

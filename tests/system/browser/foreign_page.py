@@ -19,8 +19,7 @@ from urllib.parse import urlsplit
 
 import httpx
 from tests.system.browser.asks import Ask
-
-from veilcam_server.security.audit import DONE, REFUSED
+from tests.unit.server.logs import events
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 300.0
@@ -51,16 +50,11 @@ class Watched:
         # Time goes by, and the next mask is prepared.
         del found["rotation"]["epoch_age_s"], found["rotation"]["preparation"]
         # What is refused for another reason than the site stands here too.
-        found["done"] = len(self.audit(DONE))
+        found["done"] = len(events(self.state_dir, "request"))
         return found
 
-    def audit(self, name: str) -> list[dict[str, Any]]:
-        path = self.state_dir / name
-        lines = path.read_text().splitlines() if path.exists() else []
-        return [json.loads(line) for line in lines]
-
     def refusals(self) -> list[str]:
-        return [entry["code"] for entry in self.audit(REFUSED)]
+        return [entry["code"] for entry in events(self.state_dir, "refused")]
 
 
 @dataclass

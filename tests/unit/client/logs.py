@@ -1,32 +1,23 @@
-"""A log of captures, as a camera writes it."""
+"""A log, as a camera writes it."""
 
 from __future__ import annotations
 
 import builtins
-from datetime import timedelta
+from datetime import datetime, timedelta
+from typing import TypeAlias
 
 from tests.unit.client.sealing import AT, Device
 
-from veilcam_client.keys.capture_log import (
-    NOTHING_BEFORE,
-    answer_digest,
-    line_digest,
-    line_of,
-    sign_head,
-    sign_record,
-)
+from veilcam_client.keys.commitments import answer_digest
+from veilcam_client.keys.log import NOTHING_BEFORE, line_digest, line_of, sign_record
 from veilcam_client.wire.captures import Classification
-from veilcam_client.wire.log import (
-    Entry,
-    LogDropped,
-    LogGap,
-    LoggedCapture,
-    LogHead,
-    LogRecord,
-    LogRecords,
-    LogStarted,
-    LogStopped,
-)
+from veilcam_client.wire.log import Kind, LogRecord, LogRecords
+
+Entry: TypeAlias = tuple[Kind, datetime, dict[str, str | int]]
+
+
+def event(kind: Kind, **facts: str | int) -> Entry:
+    return kind, AT, facts
 
 
 def answer(number: int) -> Classification:
@@ -39,27 +30,31 @@ def answer(number: int) -> Classification:
     )
 
 
-def capture(number: int) -> LoggedCapture:
+def capture(number: int) -> Entry:
     told = answer(number)
-    return LoggedCapture(
-        epoch=told.epoch,
-        number=number,
-        taken_at=told.taken_at,
-        mask=f"{number:064x}",
-        tested_s=60,
-        calibration=None,
-        answer=answer_digest(told),
-    )
+    facts: dict[str, str | int] = {
+        "epoch": told.epoch,
+        "number": number,
+        "mask": f"{number:064x}",
+        "tested_s": 60,
+        "answer": answer_digest(told),
+    }
+    return "capture", told.taken_at, facts
+
+
+def signed(device: Device, position: int, previous: str, entry: Entry) -> LogRecord:
+    kind, at, facts = entry
+    return sign_record(device, position, previous, kind=kind, at=at, facts=facts)
 
 
 LIFE: tuple[Entry, ...] = (
-    LogStarted(at=AT, after="nothing"),
+    event("start", after="nothing"),
     *map(capture, range(3)),
-    LogGap(answers=2),
+    event("gap", entries=2),
     capture(3),
-    LogStopped(at=AT),
-    LogStarted(at=AT, after="stop"),
-    LogDropped(before=2),
+    event("stop"),
+    event("start", after="stop"),
+    event("dropped", before=2),
     capture(4),
 )
 
@@ -80,23 +75,13 @@ class Log:
 
     def append(self, entry: Entry) -> None:
         previous = line_digest(line_of(self.records[-1])) if self.records else NOTHING_BEFORE
-        self.records.append(sign_record(self.device, len(self.records), previous, entry))
+        self.records.append(signed(self.device, len(self.records), previous, entry))
 
     def list(self, *, limit: int = 4, after: int | None = None) -> LogRecords:
         left = [each for each in self.records if after is None or each.position > after]
         more = len(left) > min(limit, 4)
         found = tuple(left[: min(limit, 4)])
         return LogRecords(records=found, next=found[-1].position if more else None)
-
-    def head(self, *, missed: int = 0) -> LogHead:
-        return sign_head(
-            self.device,
-            position=self.records[-1].position,
-            record=line_digest(line_of(self.records[-1])),
-            oldest=self.records[0].position,
-            missed=missed,
-            at=AT,
-        )
 
     @property
     def lines(self) -> builtins.list[bytes]:

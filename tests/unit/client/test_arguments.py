@@ -181,9 +181,9 @@ def test_file_of_a_function_is_named(daemon: Daemon, tmp_path: Path) -> None:
         ("folder", labelled_pictures, name),
         ("per_class", lambda value: labelled_pictures(tmp_path, per_class=value), 0),
         ("path", lambda value: fetch_log(camera, value), name),
-        ("path", verify_log, name),
-        ("head", lambda value: verify_log(new, head=value), name),
-        ("answer", lambda value: verify_log(new, answer=value), name),
+        ("content", verify_log, name),
+        ("head", lambda value: verify_log(b"", head=value), name),
+        ("answer", lambda value: verify_log(b"", answer=value), name),
     ]
     for argument, call, value in calls:
         with pytest.raises(ArgumentError, match=rf"\b{argument}\b"):

@@ -44,10 +44,10 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource, Terms
-from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
+from veilcam_server.security.log import FOLDER, Log
 from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
@@ -333,6 +333,7 @@ class Bench:
                 ),
                 bundles.info,
             ),
+            Log(self.state_dir / FOLDER, self.key),
             bundles,
             self.calibration or CalibrationService(settings, None, None),
             form=lambda: self.release,
@@ -340,7 +341,6 @@ class Bench:
             pairing=Pairing(self.receivers, self.key.public, camera.renew),
             queue_limit=queue_limit,
             heartbeat=0.05,
-            capture_log=CaptureLog.of(self.state_dir, self.key),
             watch=WatchSetup(self.watch, WatchStore(self.state_dir, self.watch)),
         )
         publish = camera._panel.publish

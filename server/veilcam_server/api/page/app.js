@@ -6,6 +6,7 @@ import { button, card, field, form, h, say } from "./dom.js";
 import { OFTEN, eventsView } from "./events.js";
 import { healthView } from "./health.js";
 import { liveView } from "./live.js";
+import { logView } from "./log.js";
 import { privacyView } from "./privacy.js";
 import { tokensView } from "./tokens.js";
 import { STATES } from "./words.js";
@@ -19,6 +20,7 @@ const VIEWS = {
   privacy: ["Privacy", privacyView],
   tokens: ["Tokens", tokensView],
   events: ["Events", eventsView],
+  log: ["Log", logView],
 };
 // After these events the status is another one, or what it sees is.
 const TELLING = new Set(["state", "mask", "rotation", "bundle", "calibration", "capture", "gap"]);

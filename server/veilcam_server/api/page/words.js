@@ -78,7 +78,7 @@ export const SCOPES = {
   "read:scores": "confidence, in full",
   "read:embedding": "embeddings, as they leave",
   "read:embedding:raw": "embeddings that leave raw",
-  "read:log": "the log of captures",
+  "read:log": "the log: what left, and who changed what",
   "mask:rotate": "changing masks, leases",
   calibrate: "calibrations",
   simulate: "the simulated scene and its faults",

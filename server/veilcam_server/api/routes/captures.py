@@ -58,7 +58,7 @@ async def capture(
     array_alone = preferred(accept, ("application/json",)) is None
     if array_alone:
         _require_array(service.release)
-    taken = await once(service.capture)
+    taken = await once(lambda: service.capture(caller.id))
     # Another receiver may have been paired since, or one before the mask that is shown.
     if media_type == NPY_MEDIA_TYPE and isinstance(taken.embedding, Embedding):
         return _array(taken, taken.embedding)
@@ -103,7 +103,11 @@ async def classify(
     if include_embedding:
         _require_embedding(caller, service)
     scores = scores_for(caller)
-    return await once(lambda: service.classify(include_embedding=include_embedding, scores=scores))
+    return await once(
+        lambda: service.classify(
+            include_embedding=include_embedding, scores=scores, caller=caller.id
+        )
+    )
 
 
 def _require_array(form: Release) -> None:

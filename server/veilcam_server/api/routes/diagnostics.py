@@ -105,7 +105,7 @@ async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnosti
         faults=tuple(history.last_faults),
         events=dict(history.events),
         fault_counts=dict(history.faults),
-        audit_lost=0 if admission.audit is None else admission.audit.lost,
+        log_missed=service.log.missed,
     )
 
 

@@ -54,7 +54,7 @@ async def release_lease(
 ) -> LeaseResponse:
     """Hold the camera no longer; `force=true` ends the lease of another, for `admin:tokens`.
 
-    Who was put out stands in the audit log.
+    Who was put out stands in the log.
     """
     if force:
         caller.require("admin:tokens")

@@ -85,7 +85,7 @@ class Daemon:
                 threading.Timer(0.3, camera.rotation.advance).start()
             case "cancel_calibration":
                 camera.calibration.start(repeats=2)
-            case "log" | "log_head":
+            case "log":
                 camera.classify()
 
     def clear(self, operation: str) -> None:

@@ -40,7 +40,6 @@ def run(*arguments: str, heavy: tuple[str, ...] = HEAVY) -> tuple[int, str, str]
         (["serve", "--help"], 0, "--simulate"),
         (["token", "list", "--state-dir", "{tmp}"], 0, "no tokens"),
         (["doctor", "--state-dir", "{tmp}"], 1, "none named"),
-        (["audit", "--state-dir", "{tmp}"], 0, ""),
     ],
 )
 def test_torch_is_not_loaded_for(

@@ -21,8 +21,8 @@ from veilcam_server.system.state_folder import become_owner, require_usable
 
 FILES = (
     *("device-key.json", "tokens.json", "tokens.json.copy", "tokens.json.lock", "rotation.json"),
-    *("audit.jsonl", "audit.jsonl.3", "refused.jsonl", "idempotency-1", "scene.npy"),
-    *(f"bundles/{'0f' * 32}.veilcam", "bundles/in-use.json", f"capture-log/{0:020d}.jsonl"),
+    *("idempotency-1", "scene.npy"),
+    *(f"bundles/{'0f' * 32}.veilcam", "bundles/in-use.json", f"log/{0:020d}.jsonl"),
 )
 NOBODY = pwd.getpwnam("nobody")
 GROUP = grp.getgrgid(NOBODY.pw_gid).gr_name
@@ -35,7 +35,7 @@ def listen(path: Path) -> None:
 
 
 def filled(directory: Path) -> Path:
-    for each in (directory, directory / "bundles", directory / "capture-log"):
+    for each in (directory, directory / "bundles", directory / "log"):
         make_directory(each)
     for name in FILES:
         (directory / name).write_text("kept")
@@ -102,7 +102,7 @@ def test_fifo_of_any_name_is_refused(folder: Path) -> None:
         require_usable(folder)
 
 
-@pytest.mark.parametrize("name", ["bundles", "capture-log"])
+@pytest.mark.parametrize("name", ["bundles", "log"])
 def test_file_in_the_place_of_a_folder_is_refused(folder: Path, name: str) -> None:
     (folder / name).rename(folder.with_name("elsewhere"))
     (folder / name).touch()
@@ -134,7 +134,7 @@ def hold_as_nobody(directory: Path) -> str:
 
 
 @as_root
-@pytest.mark.parametrize("name", [*FILES, "bundles", "capture-log"])
+@pytest.mark.parametrize("name", [*FILES, "bundles", "log"])
 def test_file_of_another_owner_is_refused_with_owner_and_command(
     open_tmp_path: Path, name: str
 ) -> None:
@@ -205,11 +205,10 @@ def test_command_of_root_makes_files_of_the_folder_s_owner(open_tmp_path: Path) 
     for command in (
         ("token", "create", "--label", "x", "--scope", "read:status"),
         ("token", "list"),
-        ("audit",),
     ):
         subprocess.run([*veilcamd, *command, *where], check=True, capture_output=True)
-    found = {path.name: path.stat() for path in directory.iterdir()}
-    assert {"tokens.json", "tokens.json.copy", "tokens.json.lock", "audit.jsonl"} == set(found)
+    found = {path.name: path.stat() for path in directory.rglob("*")}
+    assert {"tokens.json", "device-key.json", "log"} <= set(found)
     assert {(each.st_uid, each.st_gid) for each in found.values()} == {
         (NOBODY.pw_uid, NOBODY.pw_gid)
     }

@@ -11,12 +11,12 @@ import httpx
 import pytest
 from starlette.types import Message
 from tests.unit.server.api.conftest import bearer
+from tests.unit.server.logs import events, open_log
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
@@ -66,12 +66,11 @@ BODIES: dict[tuple[str, str], Any] = {
 
 @pytest.fixture
 def admission(tmp_path: Path, store: TokenStore) -> Iterator[Admission]:
-    """Of a daemon that wants tokens, keeps its audit log, and can open no event stream."""
-    done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
+    """Of a daemon that wants tokens, keeps its log, and can open no event stream."""
+    log = open_log(tmp_path)
     # A stream that is let in would not end: it is let in if it is refused for its number.
-    yield Admission(store, audit=done, refused=refused, streams=ConcurrencyLimit(0))
-    refused.close()
-    done.close()
+    yield Admission(store, log=log, streams=ConcurrencyLimit(0))
+    log.close()
 
 
 @pytest.fixture
@@ -150,8 +149,8 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
                 assert answer.json()["code"] == "cross_site"
         assert await state(client, token, bench) == before
     assert read == 0
-    assert read_audit(tmp_path / DONE) == []
-    refused = read_audit(tmp_path / REFUSED)
+    assert events(tmp_path, "request") == []
+    refused = events(tmp_path, "refused")
     assert [entry["code"] for entry in refused] == ["cross_site"] * 2 * len(asked)
 
 

@@ -1,4 +1,4 @@
-"""The capture log over the API: every answer that leaves has its record, and no other."""
+"""The log over the API: every answer that leaves has its record, and no other."""
 
 from __future__ import annotations
 
@@ -11,18 +11,13 @@ from tests.unit.server.api.conftest import bearer
 
 from veilcam_client import AsyncCamera
 from veilcam_client.errors import ApiError
-from veilcam_client.keys.capture_log import (
-    answer_digest,
-    is_genuine,
-    line_digest,
-    line_of,
-    logged_mask,
-)
+from veilcam_client.keys.commitments import answer_digest, logged_mask
 from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.log import is_genuine, line_digest, line_of
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
-from veilcam_client.wire.log import LoggedCapture
+from veilcam_client.wire.log import LogRecord
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.tokens import TokenStore
 
@@ -37,10 +32,10 @@ def sdk(client: httpx.AsyncClient) -> AsyncCamera:
     return AsyncCamera("http://localhost", http_client=client, max_retries=0)
 
 
-async def captures(camera: AsyncCamera) -> list[LoggedCapture]:
+async def captures(camera: AsyncCamera) -> list[LogRecord]:
     records = (await camera.log.list()).records
     assert all(map(is_genuine, records))
-    return [each.entry for each in records if isinstance(each.entry, LoggedCapture)]
+    return [each for each in records if each.kind == "capture"]
 
 
 @pytest.mark.parametrize("release", ["sealed", "raw"])
@@ -55,11 +50,13 @@ async def test_every_answer_has_its_record(running: Running, bench: Bench, relea
             await camera.classify(),
         ]
         said = await captures(camera)
-    assert [each.answer for each in said] == [answer_digest(answer) for answer in answers]
+    assert [each.facts["answer"] for each in said] == [answer_digest(answer) for answer in answers]
     for entry, answer in zip(said, answers, strict=True):
-        assert (entry.epoch, entry.number) == (answer.epoch, answer.number)
-        assert entry.taken_at == answer.taken_at
-        assert (entry.tested_s, entry.calibration) == (60, None)
+        facts = entry.facts
+        assert (facts["epoch"], facts["number"]) == (answer.epoch, answer.number)
+        assert entry.at == answer.taken_at
+        assert (facts["tested_s"], facts["caller"]) == (60, "127.0.0.1")
+        assert "calibration" not in facts
 
 
 async def test_receiver_finds_the_mask_that_a_record_commits_to(
@@ -79,7 +76,7 @@ async def test_receiver_finds_the_mask_that_a_record_commits_to(
             epoch = open_key(answer.embedding.envelope, key, device=bench.key.public)
             entry = (await captures(camera))[-1]
             assert logged_mask(entry, epoch, masks) == shown[-1]
-            assert entry.mask not in {line_digest(levels.tobytes()) for levels in masks}
+            assert entry.facts["mask"] not in {line_digest(levels.tobytes()) for levels in masks}
     assert None not in shown
 
 
@@ -104,7 +101,7 @@ async def test_events_and_log_name_no_whole_id(bench: Bench) -> None:
     service._events.subscribe(told.append)
     async with service.open():
         answer = await service.classify(include_embedding=False)
-        log = service.capture_log.records(None, 9)
+        log = service.log.records(None, 9)
     named = [each.capture for each in told if isinstance(each, CaptureTaken | Classified)]
     assert named == 2 * [answer.id[:16]]
     assert len(answer.id) == 48
@@ -112,26 +109,24 @@ async def test_events_and_log_name_no_whole_id(bench: Bench) -> None:
         assert answer.id[16:] not in each.model_dump_json()
 
 
-async def test_head_is_signed_and_pages_follow_from_each_other(
-    running: Running, bench: Bench
-) -> None:
+async def test_pages_follow_from_each_other(running: Running, bench: Bench) -> None:
     async with running() as client:
         camera = sdk(client)
         for _ in range(3):
             await camera.classify()
-        head = await camera.log.head()
         first = await camera.log.list(limit=2)
         assert first.next == 1
         rest = await camera.log.list(after=first.next)
-    assert is_genuine(head)
-    assert head.device == bench.key.public
-    assert [each.position for each in (*first.records, *rest.records)] == [0, 1, 2, 3]
-    assert head.position == 3
-    assert head.record == line_digest(line_of(rest.records[-1]))
+        newest = await camera.log.list(limit=1, newest=True)
+    found = (*first.records, *rest.records)
+    assert [each.position for each in found] == [0, 1, 2, 3]
+    assert {each.device for each in found} == {bench.key.public}
+    assert found[3].previous == line_digest(line_of(found[2]))
+    assert newest.records == found[3:]
 
 
 @pytest.mark.parametrize(
-    "asked", ["limit=0", "limit=1001", "after=-1", "after=x", f"after={2**63}"]
+    "asked", ["limit=0", "limit=1001", "after=-1", "after=x", f"after={2**63}", "newest=x"]
 )
 async def test_question_that_cannot_be_asked_is_refused(running: Running, asked: str) -> None:
     async with running() as client:
@@ -142,9 +137,8 @@ async def test_question_that_cannot_be_asked_is_refused(running: Running, asked:
 async def test_log_wants_a_scope_of_its_own(running: Running, store: TokenStore) -> None:
     reader, other = bearer(store, "read:log"), bearer(store, "read:status")
     async with running(admission=Admission(tokens=store)) as client:
-        for path in ("/v1/log", "/v1/log/head"):
-            assert (await client.get(path, headers=reader)).status_code == 200
-            assert (await client.get(path, headers=other)).status_code == 403
+        assert (await client.get("/v1/log", headers=reader)).status_code == 200
+        assert (await client.get("/v1/log", headers=other)).status_code == 403
 
 
 async def test_full_disk_stops_no_answer(
@@ -158,17 +152,18 @@ async def test_full_disk_stops_no_answer(
         with monkeypatch.context() as full:
             full.setattr(os, "pwrite", refuse)
             await camera.classify()
-            assert (await camera.log.head()).missed == 1
             assert await captures(camera) == []
-            faults = (await camera.diagnostics()).faults
+            told = await camera.diagnostics()
+            assert told.log_missed == 1
+            faults = told.faults
             assert [fault.code for fault in faults] == ["storage_failed"]
             assert faults[0].remedy == "check_disk"
         await camera.classify()
-        kinds = [each.entry.kind for each in (await camera.log.list()).records]
+        kinds = [each.kind for each in (await camera.log.list()).records]
         assert kinds == ["start", "gap", "capture"]
 
 
-async def test_record_that_cannot_be_flushed_is_no_head(
+async def test_record_that_cannot_be_flushed_is_not_shown(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(_: int) -> None:
@@ -176,7 +171,7 @@ async def test_record_that_cannot_be_flushed_is_no_head(
 
     async with running() as client:
         monkeypatch.setattr(os, "fsync", refuse)
-        answer = await client.get("/v1/log/head")
+        answer = await client.get("/v1/log")
     assert (answer.status_code, answer.json()["code"]) == (503, "storage_failed")
 
 
@@ -185,11 +180,11 @@ async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
 ) -> None:
     async with running() as client:
         await sdk(client).classify()
-    [path] = (bench.state_dir / "capture-log").iterdir()
+    [path] = (bench.state_dir / "log").iterdir()
     path.write_bytes(path.read_bytes()[:-10])
     async with running() as client:
         camera = sdk(client)
         await camera.classify()
         assert [fault.code for fault in (await camera.diagnostics()).faults] == ["state_lost"]
-        said = [getattr(each.entry, "after", "") for each in (await camera.log.list()).records]
-    assert said == ["nothing", "", "damage", ""]
+        said = [each.kind for each in (await camera.log.list()).records]
+    assert said == ["start", "capture", "damage", "start", "capture"]

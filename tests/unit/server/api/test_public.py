@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.server.logs import events, open_log
 
 from veilcam_server.api.routes.public import PATHS
 from veilcam_server.devices import DisplayError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.tokens import TokenStore
 
@@ -27,16 +27,14 @@ pytestmark = pytest.mark.anyio
 def admission(tmp_path: Path) -> Iterator[Admission]:
     """Wants tokens, and lets each caller ask nothing at all."""
     store = TokenStore(tmp_path / "tokens")
-    logs = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
+    log = open_log(tmp_path)
     yield Admission(
         store,
-        audit=logs[0],
-        refused=logs[1],
+        log=log,
         rate=RateLimit(1e-9, 1),
         concurrency=ConcurrencyLimit(0),
     )
-    for log in logs:
-        log.close()
+    log.close()
 
 
 async def words(client: httpx.AsyncClient) -> list[tuple[int, str]]:
@@ -66,14 +64,14 @@ async def test_health_is_told_as_yes_or_no_and_nothing_else(
             assert (await client.get(path, headers={"Host": "page.example"})).status_code == 421
             assert (await client.get(path, headers={"Origin": "http://a.b"})).status_code == 403
         assert (await client.get("/healthz/")).status_code in (401, 429)
-    assert read_audit(tmp_path / DONE) == []
+    assert events(tmp_path, "request") == []
 
 
 async def test_no_while_no_capture_is_taken(
     running: Running, bench: Bench, tmp_path: Path, display_fault: DisplayError
 ) -> None:
-    refused = AuditLog(tmp_path / REFUSED)
-    async with running(admission=Admission(refused=refused)) as client:
+    log = open_log(tmp_path)
+    async with running(admission=Admission(log=log)) as client:
         assert await words(client) == [YES, YES]
         bench.display.faults = [display_fault, display_fault]
         await client.post("/v1/rotation/advance")
@@ -81,9 +79,9 @@ async def test_no_while_no_capture_is_taken(
         assert await words(client) == [YES, NO]
         await client.post("/v1/rotation/advance")
         assert await words(client) == [YES, YES]
-    refused.close()
+    log.close()
     # To be told 'no' is to be answered: the log is not filled by it.
-    assert read_audit(tmp_path / REFUSED) == []
+    assert events(tmp_path, "refused") == []
 
 
 async def test_no_while_the_device_does_not_answer(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from tests.unit.server.api.conftest import bearer
+from tests.unit.server.logs import events, open_log
 
 from veilcam_client import AsyncCamera
 from veilcam_client.errors import ApiError, SealedError
@@ -19,7 +20,6 @@ from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, AuditLog
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
@@ -124,13 +124,13 @@ async def test_sealed_embedding_is_no_array(running: Running, fresh_bench: Bench
         assert fresh_bench.sensor.captures == 0
 
 
-async def test_scopes_and_the_audit_log(
+async def test_scopes_and_the_log(
     running: Running, bench: Bench, store: TokenStore, tmp_path: Path
 ) -> None:
-    audit = AuditLog(tmp_path / DONE)
+    log = open_log(tmp_path)
     reader = bearer(store, "read:status", "admin:tokens")
     admin = bearer(store, "admin:receivers")
-    async with running(admission=Admission(store, audit=audit)) as client:
+    async with running(admission=Admission(store, log=log)) as client:
         assert (await client.get(PATH, headers=reader)).status_code == 200
         for given in (
             await client.post(PATH, json=QUESTION, headers=reader),
@@ -141,9 +141,8 @@ async def test_scopes_and_the_audit_log(
         assert not bench.receivers.keys
         await client.post(PATH, json=QUESTION, headers=admin)
         await client.delete(f"{PATH}/{KEY.public.id}", headers=admin)
-    audit.close()
-    written = [json.loads(line) for line in (tmp_path / DONE).read_text().splitlines()]
-    done = [entry for entry in written if entry.get("code") is None]
+    log.close()
+    done = [entry for entry in events(tmp_path, "request") if entry.get("code") is None]
     assert [entry["action"] for entry in done] == [
         f"POST {PATH}",
         f"DELETE {PATH}/{KEY.public.id}",

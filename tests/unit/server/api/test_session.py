@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
+from tests.unit.server.logs import events, open_log
 
 from veilcam_client.wire.tokens import SCOPES, NewSession, Scope, Session
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.sessions import HEADER, LIFETIME, SessionStore
 from veilcam_server.security.tokens import TokenStore
 
@@ -23,11 +23,10 @@ pytestmark = pytest.mark.anyio
 
 @pytest.fixture
 def admission(tmp_path: Path, store: TokenStore) -> Iterator[Admission]:
-    done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
+    log = open_log(tmp_path)
     sessions = SessionStore(tmp_path / "tokens", store)
-    yield Admission(store, audit=done, refused=refused, sessions=sessions)
-    refused.close()
-    done.close()
+    yield Admission(store, log=log, sessions=sessions)
+    log.close()
 
 
 def bearer(admission: Admission, *scopes: Scope, lasts: float | None = None) -> dict[str, str]:
@@ -59,7 +58,7 @@ async def test_page_asks_with_both_halves_and_may_do_what_its_token_may(
         nonsense = {**page, "Authorization": "Bearer nonsense"}
         assert (await client.get("/v1/status", headers=nonsense)).status_code == 401
     (entry,) = [
-        each for each in read_audit(tmp_path / DONE) if each["action"] == "POST /v1/session"
+        each for each in events(tmp_path, "request") if each["action"] == "POST /v1/session"
     ]
     assert entry["label"] == "kitchen"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.keys.capture_log import calibration_digest
+from veilcam_client.keys.commitments import calibration_digest
 from veilcam_client.wire import calibration
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_server.camera.camera import MaskedCamera

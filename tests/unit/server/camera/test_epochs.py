@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from veilcam_client.keys.blocks import Opener
-from veilcam_client.keys.capture_log import mask_commitment
+from veilcam_client.keys.commitments import mask_commitment
 from veilcam_client.keys.envelopes import open_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.unit.server.logs import events, open_log
 from tests.unit.server.security.conftest import Clock, bearer
 
 from veilcam_client.wire.lease import Lease as LeaseAnswer
@@ -13,7 +14,6 @@ from veilcam_client.wire.lease import NewLease
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, AuditLog, read_audit
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.tokens import TokenStore
 
@@ -104,8 +104,8 @@ async def test_administrator_ends_the_lease_of_another(
         )
     )
     wanted = {"owner": "an experiment", "seconds": 60}
-    audit = AuditLog(tmp_path / DONE)
-    async with running(admission=Admission(tokens=store, audit=audit)) as client:
+    log = open_log(tmp_path)
+    async with running(admission=Admission(tokens=store, log=log)) as client:
 
         async def broken(who: dict[str, str], force: str = "true") -> int:
             answer = await client.delete("/v1/lease", headers=who, params={"force": force})
@@ -119,8 +119,8 @@ async def test_administrator_ends_the_lease_of_another(
         assert await broken(admin) == 200
         assert await broken(admin) == 200
         assert (await client.post("/v1/lease", headers=second, json=wanted)).is_success
-    audit.close()
-    noted = [(entry["label"], entry.get("broke")) for entry in read_audit(tmp_path / DONE)]
+    log.close()
+    noted = [(entry["label"], entry.get("broke")) for entry in events(tmp_path)]
     assert noted.count(("admin", "an experiment")) == 1
     assert [broke for _, broke in noted].count(None) == len(noted) - 1
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.unit.server.damage import DAMAGES
+from tests.unit.server.logs import events, records
 from typer.testing import CliRunner
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
@@ -24,8 +25,8 @@ from veilcam_server.errors import (
     UnauthorizedError,
 )
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE
 from veilcam_server.security.caller import Caller
+from veilcam_server.security.log import FOLDER
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
@@ -496,10 +497,9 @@ def test_tokens_from_a_terminal(tmp_path: Path) -> None:
     assert run("revoke", caller.id, *where) == f"revoked {caller.id}\n"
     turn_away(store, secret)
     assert "revoked " in run("list", *where)
-    audited = runner.invoke(app, ["audit", *map(str, where)]).stdout
-    assert audited.count("token create") == 2
-    assert audited.count("token revoke") == 1
-    assert secret not in audited
+    noted = [each["action"] for each in events(tmp_path / "state", "command")]
+    assert noted == ["token create", "token create", "token revoke"]
+    assert secret not in str(records(tmp_path / "state"))
 
 
 @pytest.mark.parametrize(
@@ -532,10 +532,10 @@ def test_damage_is_told_in_the_terminal_beside_the_answer(tmp_path: Path) -> Non
     )
 
 
-def test_token_whose_audit_line_cannot_be_written_is_not_given(tmp_path: Path) -> None:
-    (tmp_path / DONE).mkdir()
+def test_token_whose_entry_cannot_be_written_is_not_given(tmp_path: Path) -> None:
+    (tmp_path / FOLDER).touch()
     options = ("--label", "x", "--scope", "classify", "--state-dir", str(tmp_path))
     result = runner.invoke(app, ["token", "create", *options])
     assert result.exit_code == 1
-    assert "audit.jsonl cannot be read (Is a directory): move it away" in result.stderr
+    assert "log cannot be read (Not a directory): move it away" in result.stderr
     assert "vc_" not in result.output
