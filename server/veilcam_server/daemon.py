@@ -245,7 +245,7 @@ def _serve(
     try:
         with open_admission(settings, service.report) as admission:
             room = room_for(settings.connections)
-            connections = Connections(*room)
+            connections = Connections(*room, run=admission.keys.run)
             config = uvicorn.Config(
                 create_app(
                     service,
