@@ -34,7 +34,7 @@ from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import Preparation
-from veilcam_server.camera.self_test import OpticalSelfTest
+from veilcam_server.camera.self_test import Checks, OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.doctor.checkup import examine_beside
@@ -112,16 +112,13 @@ def build_service(settings: Settings) -> Service:
                 OpticalSelfTest(
                     *(bundle.camera, bundle.scene, bundle.embedding), colour=bundle.channels == 3
                 ),
-                budget=budget,
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
                 policy=policies.at_start(
                     rotation_policy(settings, bundle),
                     renewable=keys.source.renewable,
                     configured=keys.info.digest == bundle.digest,
                 ),
-                test_every=settings.self_test_every,
-                guard_every=settings.guard,
-                steps=bundle.camera.panel.levels,
+                checks=Checks(settings.self_test_every, settings.guard, bundle.camera.panel.levels),
                 calibration=signed,
             )
             undo.pop_all()

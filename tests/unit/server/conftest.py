@@ -36,6 +36,7 @@ from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import Preparation
+from veilcam_server.camera.self_test import Checks
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
 from veilcam_server.devices.base import Light
@@ -291,11 +292,9 @@ class Bench:
             self.preparation(),
             self.bundle.embedding.shape,
             self.test,
-            budget=self.budget,
             fence=Fence(settle=settle),
             policy=policy,
-            test_every=test_every,
-            guard_every=guard_every,
+            checks=Checks(test_every, guard_every),
         )
         camera.listen(self.note)
         return camera
