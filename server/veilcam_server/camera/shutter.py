@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from veilcam_client.keys.capture_log import calibration_digest
@@ -14,13 +13,14 @@ from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_server.camera.capture import (
     ActiveMask,
     Fence,
+    Frame,
     MaskedCapture,
     Provenance,
     check_exposure,
 )
 from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.devices.base import Device, Exposure, Light
+from veilcam_server.devices.base import Device, Light
 from veilcam_server.devices.errors import DisplayError, LightError, SaturatedError, SensorError
 from veilcam_server.errors import (
     FenceError,
@@ -31,21 +31,6 @@ from veilcam_server.errors import (
 
 _MOST_FAILURES = 2
 """Consecutive sensor failures before the camera is marked as failed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """Exposure under a mask, before the guard vouched for it."""
-
-    exposure: Exposure = field(repr=False)
-    active: ActiveMask
-    number: int
-    """Number of the exposure in its epoch, from 0 on."""
-    taken_at: datetime
-    """UTC, to the second."""
-    rotation_s: float
-    settle_s: float
-    capture_s: float
 
 
 class Shutter:
@@ -165,23 +150,13 @@ class Shutter:
         scene = None if scenes is None else scenes.seen
         if scenes is not None:
             scenes.advance()
-        return MaskedCapture(
-            measurement=exposure.embedding,
-            number=frame.number,
-            taken_at=frame.taken_at,
-            form=None,
-            active=active.epoch,
-            provenance=Provenance(active.epoch.commitment, tested, self._calibration),
-            exposure=ExposureNote(
-                started_after_shown_s=exposure.started_at - active.completed_at,
-                settle_s=self._fence.settle,
-                duration_s=exposure.ended_at - exposure.started_at,
-            ),
-            rotation_s=frame.rotation_s,
-            settle_s=frame.settle_s,
-            capture_s=frame.capture_s,
-            scene=scene,
+        note = ExposureNote(
+            started_after_shown_s=exposure.started_at - active.completed_at,
+            settle_s=self._fence.settle,
+            duration_s=exposure.ended_at - exposure.started_at,
         )
+        provenance = Provenance(active.epoch.commitment, tested, self._calibration)
+        return MaskedCapture(frame, provenance, note, scene)
 
     @contextmanager
     def _counted(self) -> Iterator[None]:
