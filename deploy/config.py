@@ -11,7 +11,8 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from veilcam_server.settings import PREFIX, Settings
+from veilcam_server.environment import PREFIX
+from veilcam_server.settings import Settings
 
 FILE = Path(__file__).with_name("veilcam.env")
 BUNDLE = "/etc/veilcam/bundle.veilcam"

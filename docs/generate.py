@@ -13,8 +13,9 @@ from typing import Any
 
 import typer
 
+from veilcam_server.environment import PREFIX
 from veilcam_server.errors import PROBLEMS
-from veilcam_server.settings import PREFIX, Settings
+from veilcam_server.settings import Settings
 from veilcam_training.bundle.manifest import Manifest
 
 FOLDER = Path(__file__).resolve().parent / "reference"

@@ -33,6 +33,7 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import PanelNotHidingError, UnsteadyLightError
+from veilcam_server.service import served_camera
 from veilcam_server.settings import Settings
 
 KINDS = ("digit", "digit on gray", "dark digit on white", "wall", "gradient", "1/f", "noise")
@@ -123,7 +124,7 @@ def engine(folder: Path, captures: int) -> Iterator[MaskedCamera]:
         state_dir=folder / "state",
         rotation=EveryCaptures(captures=captures),
     )
-    with patch.object(daemon, "MaskedCamera", noted):
+    with patch.object(served_camera, "MaskedCamera", noted):
         service = daemon.build_service(settings)
     try:
         yield made[0]

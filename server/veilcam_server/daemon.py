@@ -10,61 +10,29 @@ from contextlib import ExitStack
 import structlog
 import uvicorn
 
-from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
-from veilcam_server.bundles.hiding import HidingCheck
-from veilcam_server.bundles.loader import (
-    Identity,
-    Opener,
-    last_good,
-    note_start,
-    release_terms,
-    rotation_policy,
-)
-from veilcam_server.bundles.manager import BundleManager
-from veilcam_server.bundles.owners import Owners
-from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.record import (
-    open_calibration,
-    settle_time,
-    source_opener,
-)
-from veilcam_server.calibration.service import CalibrationService
-from veilcam_server.camera.budget import ReleaseBudget
-from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import Preparation
-from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError
-from veilcam_server.devices.registry import open_device
 from veilcam_server.doctor.checkup import examine_beside
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import (
     BundleOlderError,
     BundleRefusedError,
-    ProblemError,
     RotationImpossibleError,
     StartError,
 )
 from veilcam_server.gate.protocol import Connections
 from veilcam_server.gate.server import GateServer
-from veilcam_server.sealing.identity import DeviceKey
-from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import open_admission
-from veilcam_server.security.log import FOLDER, Log
 from veilcam_server.security.tls import server_context
-from veilcam_server.service.pairing import Pairing
-from veilcam_server.service.replay import replay_service
-from veilcam_server.service.rotation_policy import PolicyStore
+from veilcam_server.service.replay import replayed_camera
+from veilcam_server.service.served_camera import ServedCamera
 from veilcam_server.service.service import Service
+from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners, room_for
-from veilcam_server.system.logs import log_defect
 from veilcam_server.system.memory import forbid_core_files, no_garbage
-from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.system.systemd import notify
-from veilcam_server.watch.watcher import open_watch
-from veilcam_training.bundle import BundleError, read_bundle
+from veilcam_training.bundle import BundleError
 
 log = structlog.get_logger()
 
@@ -75,112 +43,22 @@ def build_service(settings: Settings) -> Service:
     Raises:
         StartError: whatever stands in the way, in one line.
     """
-    if settings.replay is not None:
-        return replay_service(settings, settings.replay)
-    faults: list[ProblemError] = []
-    try:
-        with ExitStack() as undo:
-            # First of all: it keeps other daemons off the state.
-            held = HeldDirectory(settings.state_dir)
-            undo.callback(held.close)
-            bundle = read_bundle(settings.bundle)
-            key = DeviceKey.open(settings.state_dir, faults.append)
-            receivers = ReceiverStore(settings.state_dir, faults.append)
-            terms = release_terms(settings, bundle, receivers)
-            budget = ReleaseBudget(settings.state_dir, settings.raw_budget, faults.append)
-            signed = open_calibration(settings, bundle, key, faults.append)
-            owners = Owners.open(settings.owner_keys)
-            opener = Opener(
-                bundle,
-                source_opener(settings, signed),
-                owners,
-                HidingCheck(allow=settings.allow_visible),
-            )
-            store = BundleStore(
-                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
-            )
-            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
-            policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
-            device = open_device(settings, bundle)
-            undo.callback(device.close)
-            preparation = Preparation(keys.source, key, terms, budget)
-            undo.callback(preparation.close)
-            camera = MaskedCamera(
-                device,
-                preparation,
-                bundle.measurement_shape,
-                OpticalSelfTest(
-                    *(bundle.camera, bundle.scene, bundle.embedding), colour=bundle.channels == 3
-                ),
-                budget=budget,
-                fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-                policy=policies.at_start(
-                    rotation_policy(settings, bundle),
-                    renewable=keys.source.renewable,
-                    configured=keys.info.digest == bundle.digest,
-                ),
-                test_every=settings.self_test_every,
-                guard_every=settings.guard,
-                steps=bundle.camera.panel.levels,
-                calibration=signed,
-            )
-            undo.pop_all()
-            undo.callback(held.close)
-            undo.callback(camera.stop)
-            watch = open_watch(settings, signed, faults.append)
-            _begin(camera, watch.rests)
-            undo.pop_all()
-    except (
-        *(BundleError, BundleRefusedError, BundleOlderError),
-        *(DeviceError, RotationImpossibleError),
-    ) as error:
-        raise StartError(str(error)) from error
-    note_start(store, opener, keys, faults.append)
-    return Service(
-        camera,
-        Identity(
-            DeviceInfo(
-                display=device.display.name,
-                sensor=device.sensor.name,
-                simulated=device.simulated,
-                key=key.public,
-            ),
-            keys.info,
-            experiment="wrong-classifier" if settings.wrong_classifier else None,
-        ),
-        Log(settings.state_dir / FOLDER, key),
-        BundleManager(store, opener, keys),
-        CalibrationService(settings, bundle, key, signed),
-        form=lambda: terms().form,
-        raw_budget=settings.raw_budget,
-        pairing=Pairing(receivers, key.public, camera.renew),
-        queue_limit=settings.queue,
-        heartbeat=settings.heartbeat,
-        scenes=device.scenes if settings.scene_api else None,
-        break_device=device.set_faults if settings.scene_api else None,
-        faults=faults,
-        policies=policies,
-        watch=watch,
-        held=held,
-    )
-
-
-def _begin(camera: MaskedCamera, rests: str | None) -> None:
-    """Test the panel and show the first mask; or be opaque, and test nothing, for a reason.
-
-    What stands in the way of that is no reason to end: in a dark room nothing can be told before
-    there is light, and a cable can be put back. The state says why no capture is taken, and it is
-    tried again.
-    """
-    try:
-        if rests is None:
-            camera.rotate()
-        else:
-            camera.rest(rests)
-    except ProblemError as error:
-        log.warning("no capture yet", reason=str(error), remedy=error.remedy)
-    except Exception as error:
-        log_defect(error, during="first self test")
+    # First of all: it keeps other daemons off the state.
+    state = State.open(settings.state_dir)
+    with ExitStack() as undo:
+        undo.callback(state.close)
+        try:
+            if settings.replay is None:
+                camera = ServedCamera.open(settings, state)
+            else:
+                camera = replayed_camera(settings, settings.replay)
+        except (
+            *(BundleError, BundleRefusedError, BundleOlderError),
+            *(DeviceError, RotationImpossibleError),
+        ) as error:
+            raise StartError(str(error)) from error
+        undo.pop_all()
+    return Service(camera, state, queue_limit=settings.queue, heartbeat=settings.heartbeat)
 
 
 class _Server(GateServer):
@@ -245,7 +123,7 @@ def _serve(
     try:
         with open_admission(settings, service.log, service.report) as admission:
             room = room_for(settings.connections)
-            connections = Connections(*room)
+            connections = Connections(*room, run=admission.keys.run)
             config = uvicorn.Config(
                 create_app(
                     service,

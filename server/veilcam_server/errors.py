@@ -40,7 +40,7 @@ PROBLEMS: Mapping[str, ProblemKind] = {
         ProblemKind("not_found", 404, "There is no such thing"),
         ProblemKind("method_not_allowed", 405, "This path does not take this method"),
         ProblemKind("not_acceptable", 406, "None of the accepted media types can be given"),
-        ProblemKind("answer_lost", 409, "This was done, and its answer is not kept"),
+        ProblemKind("answer_lost", 409, "The answer to this key is not kept"),
         ProblemKind("bundle_older", 409, "A newer bundle was in use", remedy=_BUNDLE),
         ProblemKind("calibration_impossible", 409, "This camera cannot be calibrated"),
         ProblemKind("conflict", 409, "The request does not fit the present state"),

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import ipaddress
 import json
-import os
 import re
-from collections.abc import Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +13,6 @@ from pydantic_settings import (
     BaseSettings,
     NoDecode,
     PydanticBaseSettingsSource,
-    SettingsConfigDict,
 )
 
 from veilcam_client.arguments import masked
@@ -31,87 +27,9 @@ from veilcam_client.wire.watch import (
     parse_rate,
 )
 from veilcam_server.demo_data import BUNDLE
-
-PREFIX = "VEILCAM_"
-"""Of every setting in the environment."""
-STATE_DIRECTORY = f"{PREFIX}STATE_DIRECTORY"
-"""Says what systemd's ``STATE_DIRECTORY`` says, where systemd does not."""
-_OTHERS = frozenset(
-    (
-        # Of the client.
-        *(f"{PREFIX}URL", f"{PREFIX}TOKEN", f"{PREFIX}CA_FILE", f"{PREFIX}LOG"),
-        *(f"{PREFIX}TOKEN_FILE", f"{PREFIX}PROFILE"),
-        f"{PREFIX}TEST_THREADS",  # of the tests
-        STATE_DIRECTORY,
-    )
-)
-"""Names in the environment that are no settings of a daemon, and may stand beside them."""
-_OF_THE_HOUSE = f"{PREFIX}MQTT_"
-"""Begins the names of ``veilcam-mqtt``, which may too."""
-
-
-def default_state_dir() -> Path:
-    """Return the directory of the environment, systemd (``StateDirectory=``) or the user (XDG)."""
-    given = os.environ.get(STATE_DIRECTORY) or os.environ.get("STATE_DIRECTORY")
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(base) / "veilcam"
-
-
-class Wiring(BaseSettings):
-    """Settings of ``veilcamd`` for a real device."""
-
-    # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
-    model_config = SettingsConfigDict(
-        env_prefix=PREFIX,
-        extra="forbid",
-        frozen=True,
-        use_attribute_docstrings=True,
-        # What checks them takes a tenth of a second to build, and --help checks none.
-        defer_build=True,
-    )
-
-    panel: str = "ST7735R"
-    """Kind of panel."""
-    sensor: str = "IMX477"
-    """Kind of sensor."""
-    # A wrong tab shifts or turns masks, so none is taken for granted.
-    panel_tab: Literal["red", "black", "green"] | None = None
-    """Tab of an ST7735R's film: red, black or green."""
-    spi: Path = Path("/dev/spidev0.0")
-    """Bus of the panel."""
-    spi_hz: int = Field(default=15_000_000, ge=100_000, le=100_000_000)
-    """Clock of the bus in Hz; 15151515 is an ST7735R's limit."""
-    allow_fast_spi: bool = False
-    """Allow a clock beyond that limit, with a warning."""
-    gpio_chip: str | None = Field(default=None, min_length=1, max_length=64)
-    """Label of the GPIO chip with both lines. Default: that of a Raspberry Pi 5 or 4."""
-    data_line: int = Field(default=25, ge=0, le=1023)
-    """Line of A0 (D/C)."""
-    reset_line: int = Field(default=24, ge=0, le=1023)
-    """Line of RESET."""
-    panel_read_back: Literal["miso", "sda"] | None = None
-    """Ask the panel after each mask whether it shows it: miso where its SDA is wired to MISO too,
-    sda where the bus can turn its wire around (not on a Raspberry Pi 5). Default: it is not
-    asked."""
-    camera_number: int = Field(default=0, ge=0, le=15)
-    """Of the cameras that are connected."""
-    trust_clock: bool = False
-    """Let quiet hours go by this machine's clock although the kernel does not call it synchronised:
-    it has a battery, or the daemon is in a container."""
-
-
-class DoctorSettings(Wiring):
-    """Settings of ``veilcamd doctor``, about the daemon to come."""
-
-    bundle: Path | None = None
-    """That of 'veilcamd serve'."""
-    owner_keys: Path | None = None
-    """That of 'veilcamd serve'."""
-    state_dir: Path = Field(default_factory=default_state_dir)
-    """That of 'veilcamd serve'."""
-
+from veilcam_server.environment import default_state_dir, option_of, unknown_names
+from veilcam_server.limits import CallerLimits
+from veilcam_server.wiring import Wiring, require_wires_apart
 
 DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
@@ -125,9 +43,6 @@ _FRAME = 0.025
 """Shortest frame of a sensor [s]."""
 _SHORTEST = 6e-5
 """Shortest exposure of a sensor [s]: four lines of an IMX477."""
-_BUS_WIRES = {"0": (9, 10, 11, 8, 7), "1": (19, 20, 21, 18, 17, 16)}
-"""GPIO lines of a Raspberry Pi's buses: MISO, MOSI, SCLK, and CE of each device."""
-
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
 
@@ -145,7 +60,7 @@ _OPTIONS = {"device": "simulate", "rotation": "every-seconds, --every-captures a
 """Options of another name than their setting's."""
 
 
-class Settings(Wiring):
+class Settings(CallerLimits, Wiring):
     """Everything that ``veilcamd serve`` can be told."""
 
     bundle: Path
@@ -293,7 +208,7 @@ class Settings(Wiring):
     @classmethod
     def _no_unknown_name(cls, given: dict[str, Any]) -> dict[str, Any]:
         """Refuse a setting that is misspelled: it would be left out silently."""
-        unknown = unknown_names()
+        unknown = unknown_names(Settings.model_fields)
         if unknown:
             lines = (
                 f"{name} in the environment is no setting: {unknown[name]}" for name in unknown
@@ -321,7 +236,7 @@ class Settings(Wiring):
             return given
         for name in given:
             if name not in _REPLAYED:
-                option = _option(_OPTIONS.get(name, name))
+                option = option_of(_OPTIONS.get(name, name))
                 raise ValueError(f"--replay plays a recording as it is: leave out {option}")
         # A recording needs no bundle, and nothing reads this one.
         return {"bundle": given["replay"], **given}
@@ -359,19 +274,7 @@ class Settings(Wiring):
 
     @model_validator(mode="after")
     def _wires_are_apart(self) -> Self:
-        if self.data_line == self.reset_line:
-            raise ValueError("--data-line and --reset-line are two lines: give two numbers")
-        bus = re.fullmatch(r"/dev/spidev([01])\.([0-2])", str(self.spi))
-        if bus is None or self.gpio_chip is not None:
-            return self
-        wires, device = _BUS_WIRES[bus[1]], int(bus[2])
-        taken = (*wires[:3], *wires[3 + device : 4 + device])
-        for name in ("data_line", "reset_line"):
-            line = getattr(self, name)
-            if line in taken:
-                raise ValueError(
-                    f"{_option(name)} {line} is a wire of the bus --spi {self.spi}: give another"
-                )
+        require_wires_apart(self)
         return self
 
     @model_validator(mode="after")
@@ -440,46 +343,6 @@ class Settings(Wiring):
         return Watching(rate_hz=parse_rate(self.watch), quiet=quiet)
 
     @property
-    def connections(self) -> int:
-        """Connections that may be open, at most 4096: by default 512, with TLS 128."""
-        # asyncio takes 340 kB for each TLS connection, 256 KiB of them a buffer for reading. 128 of
-        # them, which strangers may open, are 44 MB. Without TLS a connection takes 20 kB.
-        return min(4096, self.callers * (32 if self.tls_certificate is None else 8))
-
-    @property
-    def streams(self) -> int:
-        """Event streams that may be open: half of the connections."""
-        return self.connections // 2
-
-    @property
-    def caller_streams(self) -> int:
-        """Event streams that one caller may open: by default 16."""
-        return min(16, self.streams)
-
-    @property
-    def concurrency(self) -> int:
-        """Requests of one caller that may be under way, event streams included: by default 64."""
-        return 4 * self.callers
-
-    @property
-    def rate(self) -> float:
-        """Requests of one caller in a second, in the long run: by default 100.
-
-        One caller may be many programs: all of an address count as one where no token is wanted.
-        """
-        return 6.25 * self.callers
-
-    @property
-    def burst(self) -> int:
-        """Requests of one caller that may come at once after a quiet time: by default 200."""
-        return round(2 * self.rate)
-
-    @property
-    def queue(self) -> int:
-        """Captures that may wait: by default 8."""
-        return max(2, self.callers // 2)
-
-    @property
     def serves_others(self) -> bool:
         """Return whether the daemon listens where other machines reach it."""
         return self.tls_certificate is not None and self.auth == "tokens"
@@ -504,31 +367,3 @@ class GivenSettings(Settings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the settings that were given, and nothing else."""
         return (init_settings,)
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
-def unknown_names() -> dict[str, str]:
-    """Every ``VEILCAM_...`` in the environment that is nobody's, with what to do about it.
-
-    Values are left out: they may be secret.
-    """
-    known = _OTHERS | {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
-    # As pydantic-settings reads them, in capitals or not.
-    given = {name: name.upper() for name in sorted(os.environ)}
-    return {
-        name: _remedy(upper, known)
-        for name, upper in given.items()
-        if upper.startswith(PREFIX) and not upper.startswith(_OF_THE_HOUSE) and upper not in known
-    }
-
-
-def _remedy(name: str, known: Set[str]) -> str:
-    """Return the nearest known name: one that goes on where this one ends, or looks like it."""
-    rests = sorted(each.removeprefix(PREFIX) for each in known)
-    rest = name.removeprefix(PREFIX)
-    near = [each for each in rests if rest and each.startswith(rest)]
-    near = near or difflib.get_close_matches(rest, rests, n=1)
-    return f"did you mean {PREFIX}{near[0]}?" if near else "leave it out"

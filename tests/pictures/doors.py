@@ -134,7 +134,6 @@ def open_doors(folder: Path) -> Iterator[Doors]:
             return await http.put("/v1/simulation/scene", content=content, headers=headers)
 
         with portal.wrap_async_context_manager(service.open()):
-            scenes = service._scenes
-            assert scenes is not None
+            scenes = service.simulation.scenes
             yield Doors(folder, lambda content, kind: portal.call(put, content, kind), scenes.read)
             portal.call(http.aclose)

@@ -11,7 +11,6 @@ import hashlib
 import math
 import random
 import shutil
-import time
 import uuid
 from collections import Counter
 from collections.abc import Sequence
@@ -20,10 +19,11 @@ from dataclasses import dataclass
 
 from tests.siege.client import Address, Reply, listening
 from tests.siege.ground import Ground, Judgement, busy, make_tokens, pair, second_bundle
-from tests.siege.ledger import ADVANCE, KEY, Ledger
+from tests.siege.ledger import ADVANCE, Ledger
 from tests.siege.witness import Life, Witness
 
 from veilcam_client.keys.receivers import Receiver, ReceiverKey
+from veilcam_client.wire.base import RUN_HEADER
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.settings import Settings
@@ -130,9 +130,10 @@ class Changes:
             self.ledger.paired[guest.id] = not there
 
     async def change_mask(self) -> None:
-        key, asked = str(uuid.uuid4()), time.monotonic()
-        if (await self.address.ask("POST", ADVANCE, headers={KEY: key})).status == 200:
-            self.ledger.key = key, asked
+        key = {"Idempotency-Key": str(uuid.uuid4())}
+        reply = await self.address.ask("POST", ADVANCE, headers=key)
+        if reply.status == 200:
+            self.ledger.key = {**key, RUN_HEADER: reply.headers.get(RUN_HEADER, "unknown")}
 
     async def capture(self) -> None:
         if random.random() < LABELLED:

@@ -148,7 +148,6 @@ class Rig:
             Preparation(fresh_masks(), signer, lambda: terms, budget),
             shape,
             light,
-            budget=budget,
             fence=Fence(SETTLE, TIMEOUT),
             policy=EveryCaptures(captures=1),
         )

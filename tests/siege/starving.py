@@ -15,6 +15,7 @@ from tests.siege.client import ATTACKER, NEIGHBOUR, PATIENCE, EventStream, Reply
 from tests.siege.daemon import Daemon, child, write_certificate
 from tests.siege.ground import Ground, Judgement, make_tokens, second_bundle
 
+from veilcam_client.wire.base import RUN_HEADER
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 SPREAD = tuple(f"127.0.0.{host}" for host in range(3, 35))
@@ -171,7 +172,7 @@ async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
     settings = ground.settings("keys")
     one, two = make_tokens(settings, ("one", "two"))
     key = {"Idempotency-Key": str(uuid.uuid4())}
-    # Takes milliseconds, where a capture takes a tenth of a second: keys last a minute.
+    # Takes milliseconds, where a capture takes a tenth of a second: answers are kept for a minute.
     lamp = {"label": "lamp", "scopes": ["classify"]}
     others: list[int] = []
 
@@ -184,12 +185,15 @@ async def repeated_keys(ground: Ground, judgement: Judgement) -> None:
             address = daemon.address.with_token((one, two)[number % 2])
             other = {"Idempotency-Key": str(uuid.uuid4())}
             others.append((await address.ask("POST", "/v1/tokens", lamp, other)).status)
+        key[RUN_HEADER] = first.headers.get(RUN_HEADER, "unknown")
         again = await capture(daemon)
     with ground.start(settings, one) as daemon:
         after = await capture(daemon)
+        taken = (await daemon.address.get("status"))["captures"]
     judgement.at_least("other keys that were used", others.count(201), OTHER_KEYS)
     same = first.status == again.status == 200 and first.json()["id"] == again.json()["id"]
     judgement.holds(f"the same capture after {OTHER_KEYS} other keys", true=same)
     code = after.json().get("code") if after.status == 409 else after.status
     known = code == "answer_lost"
     judgement.holds(f"answer_lost after a restart ({code})", true=known)
+    judgement.at_most("captures after a restart", taken, 0)

@@ -14,7 +14,6 @@ from httpx_sse import EventSource
 from veilcam_client.errors import ConnectError, VeilcamError
 from veilcam_client.http.answers import (
     EventSize,
-    check_call,
     error_of,
     event_of,
     media_type,
@@ -120,7 +119,7 @@ async def _connect(
             headers={**resumption.headers(), **new_call()},
             timeout=options.limits(stream=True),
         ) as response:
-            check_call(response)
+            transport.check(response)
             if response.status_code != httpx.codes.OK:
                 raise error_of(await async_whole_answer(response, options.until(CAMERA_TIMEOUT)))
             if media_type(response) != "text/event-stream":

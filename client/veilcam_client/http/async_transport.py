@@ -25,6 +25,7 @@ from veilcam_client.http.calls import Call
 from veilcam_client.http.clients import ClientHolder, async_own_client, async_place
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout, async_within
 from veilcam_client.http.options import Attempts, Options
+from veilcam_client.wire.base import RUN_HEADER
 
 AsyncHttpClient = httpx.AsyncClient
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
@@ -37,6 +38,7 @@ class AsyncTransport:
         if client is not None:
             of_type("http_client", client, httpx.AsyncClient, "an httpx.AsyncClient")
         self.options: Options = options
+        self._run: str | None = None
         self._holder = ClientHolder(client, lambda: async_own_client(options), async_place)
 
     @property
@@ -62,7 +64,8 @@ class AsyncTransport:
         headers = self.options.headers(call.headers())
         while True:
             try:
-                received = await self._ask(call, headers, attempts.deadline)
+                run = attempts.run_header(self._run) if call.once else {}
+                received = await self._ask(call, {**headers, **run}, attempts.deadline)
                 answer = read(call.answer, received)
             except VeilcamError as error:
                 pause = attempts.pause(error)
@@ -86,10 +89,17 @@ class AsyncTransport:
                     timeout=options.limits(deadline),
                 ) as response,
             ):
-                check_call(response)
+                self.check(response)
                 received = await async_whole_answer(response, deadline)
         note(call, received, begun)
         return received
+
+    def check(self, response: httpx.Response) -> None:
+        """Note the run of the daemon that answers; raises as :func:`check_call`."""
+        check_call(response)
+        run = response.headers.get(RUN_HEADER, "")
+        if run and run.isascii():
+            self._run = run
 
     async def close(self) -> None:
         """Close the connections of this process, unless the client was handed in."""

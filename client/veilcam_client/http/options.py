@@ -25,12 +25,16 @@ from veilcam_client.errors import (
 )
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout, Limit, until
+from veilcam_client.wire.base import RUN_HEADER, UNKNOWN_RUN
 
 DEFAULT_URL = "http://127.0.0.1:8787"
 STREAM_SILENCE = 45.0
 """An event stream without even a heartbeat for this long is dead [s]."""
 LEASE_POLL = 1.0
 """Between two looks whether another's lease has ended, at most [s]: it may end before its time."""
+
+_UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout)
+"""Errors of a request that never left."""
 
 log: logging.Logger = logging.getLogger("veilcam")
 
@@ -140,11 +144,31 @@ class Attempts:
         self._options, self._timeout, self._failed = options, timeout, 0
         self._patient_until = -math.inf if wait is None else until(wait)
         self.deadline: float = options.until(timeout)
+        self._run: str | None = None
+        self._renewed = self._maybe_done = False
+
+    def run_header(self, seen: str | None) -> dict[str, str]:
+        """Return the header of the run that the idempotency key of the call belongs to.
+
+        A repetition of what may have been done belongs to the run that may have done it.
+
+        Args:
+            seen: run of the daemon that answered last; None: none did.
+        """
+        if not self._maybe_done:
+            self._run = seen
+        run = self._run or (UNKNOWN_RUN if self._maybe_done else None)
+        return {} if run is None else {RUN_HEADER: run}
 
     def pause(self, error: VeilcamError) -> float:
         """Seconds to wait before it is asked again, or raise the error that it ends with."""
         if isinstance(error, LeasedError):
             return self._lease(error)
+        if error.code == "answer_lost" and self._run and not (self._maybe_done or self._renewed):
+            # The daemon was restarted before this call, which it did not do.
+            self._renewed = True
+            return 0.0
+        self._maybe_done |= error.status is None and not isinstance(error.__cause__, _UNSENT)
         delay = self._options.retry.delay(self._failed, error)
         if time.monotonic() + delay >= self.deadline:
             raise error

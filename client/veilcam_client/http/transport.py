@@ -25,6 +25,7 @@ from veilcam_client.http.calls import Call
 from veilcam_client.http.clients import ClientHolder, own_client, place
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout, within
 from veilcam_client.http.options import Attempts, Options
+from veilcam_client.wire.base import RUN_HEADER
 
 HttpClient = httpx.Client
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
@@ -37,6 +38,7 @@ class Transport:
         if client is not None:
             of_type("http_client", client, httpx.Client, "an httpx.Client")
         self.options: Options = options
+        self._run: str | None = None
         self._holder = ClientHolder(client, lambda: own_client(options), place)
 
     @property
@@ -62,7 +64,8 @@ class Transport:
         headers = self.options.headers(call.headers())
         while True:
             try:
-                received = self._ask(call, headers, attempts.deadline)
+                run = attempts.run_header(self._run) if call.once else {}
+                received = self._ask(call, {**headers, **run}, attempts.deadline)
                 answer = read(call.answer, received)
             except VeilcamError as error:
                 pause = attempts.pause(error)
@@ -84,10 +87,17 @@ class Transport:
                     timeout=options.limits(deadline),
                 ) as response,
             ):
-                check_call(response)
+                self.check(response)
                 received = whole_answer(response, deadline)
         note(call, received, begun)
         return received
+
+    def check(self, response: httpx.Response) -> None:
+        """Note the run of the daemon that answers; raises as :func:`check_call`."""
+        check_call(response)
+        run = response.headers.get(RUN_HEADER, "")
+        if run and run.isascii():
+            self._run = run
 
     def close(self) -> None:
         """Close the connections of this process, unless the client was handed in."""

@@ -34,6 +34,11 @@ API_VERSION = 1
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 CALL_HEADER = "Veilcam-Call"
 """Header that names a request: 128 random bits, 32 hexadecimal digits. Its answer repeats it."""
+RUN_HEADER = "Veilcam-Run"
+"""Header of every answer: name of this run of the daemon. Sent with an idempotency key, it is the
+run that the key belongs to."""
+UNKNOWN_RUN = "unknown"
+"""Run of a key that may have come before, to a run whose name its sender never saw."""
 UNAUTHORIZED_HINT = "give a token as token= or in VEILCAM_TOKEN"
 _BY_CODE: Mapping[str, type[ApiError]] = {
     "unauthorized": AccessError,

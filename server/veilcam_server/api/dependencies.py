@@ -36,7 +36,7 @@ ALWAYS = (
     "storage_failed",
 )
 """What every route that wants a token can answer with."""
-KEYED = ("idempotency_key_reused", "answer_lost", "answer_lost", "too_many_requests")
+KEYED = ("idempotency_key_reused", "answer_lost")
 """What a route that takes an ``Idempotency-Key`` can answer with besides."""
 BODY = ("body_too_large", "invalid_request", *KEYED)
 """What a route with a body can answer with besides."""
@@ -112,7 +112,10 @@ async def _once(
     admission: AdmissionDep,
     caller: CallerDep,
     idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")] = None,
+    veilcam_run: Annotated[str | None, Header(max_length=64)] = None,
 ) -> Once:
+    if idempotency_key is not None:
+        admission.keys.require_run(caller.id, idempotency_key, veilcam_run)
     head = f"{request.method} {request.url.path}?{request.url.query}\n".encode()
     return Once(
         admission.keys,

@@ -19,6 +19,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from veilcam_client.wire.base import RUN_HEADER
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.problems import error_response, problem_response
 from veilcam_server.errors import ProblemError, StorageError
@@ -168,6 +169,7 @@ class RequestContext:
                 answer.status = message["status"]
                 fields = MutableHeaders(scope=message)
                 fields["X-Request-Id"] = state["request_id"]
+                fields[RUN_HEADER] = self._admission.keys.run
                 fields.update(state["echoed"])
                 # A page says itself what it loads.
                 for name, value in self._headers.items():

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from veilcam_client import wire
 from veilcam_client.wire import events
-from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, RUN_HEADER, Problem
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
@@ -41,6 +41,7 @@ TAGS: Mapping[str, str] = {
 _HEADERS: Mapping[str, tuple[str, str]] = {
     "X-Request-Id": ("Name of the request, as the log has it.", "5ca1ab1e0ddba11"),
     CALL_HEADER: ("That of the request, where it sent 32 hexadecimal digits.", "5ca1ab1e" * 4),
+    RUN_HEADER: ("Name of this run of the daemon.", "c0ffee00" * 4),
     "Cache-Control": ("Nobody keeps it, but for who asks again with its `ETag`.", "no-store"),
     "ETag": ("Send it as `If-None-Match`: 304 as long as it holds.", 'W/"0f0f"'),
     "Retry-After": ("Before the same request may succeed [s].", "1"),
@@ -54,7 +55,8 @@ _HEADERS: Mapping[str, tuple[str, str]] = {
     "Veilcam-Replay": ("Its place in a recording, where it comes from one.", "7"),
     "Veilcam-Replay-Capture": ("Which capture that was.", "c0ffee00"),
 }
-_OF_ARRAYS = tuple(name for name in _HEADERS if name.startswith("Veilcam-") and name != CALL_HEADER)
+_ALWAYS = ("X-Request-Id", CALL_HEADER, RUN_HEADER, "Cache-Control")
+_OF_ARRAYS = tuple(name for name in _HEADERS if name.startswith("Veilcam-") and name not in _ALWAYS)
 (_EVENT,) = events.EXAMPLES
 _TEXTS = {
     "text/plain": metrics.EXAMPLE,
@@ -103,7 +105,7 @@ def _add_problem(found: dict[str, Any]) -> None:
 
 def _add_headers(operation: dict[str, Any]) -> None:
     for status, answer in operation["responses"].items():
-        names = ["X-Request-Id", CALL_HEADER, "Cache-Control"]
+        names = [*_ALWAYS]
         codes = answer["description"].split(", ") if status >= "400" else []
         if any(code in PROBLEMS and PROBLEMS[code].retryable for code in codes):
             names.append("Retry-After")

@@ -7,9 +7,17 @@ import dataclasses
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Self
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
-from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bundle_info
+from veilcam_server.bundles.loader import (
+    LoadedBundle,
+    Opener,
+    OpenSource,
+    bundle_info,
+    last_good,
+    note_start,
+)
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
@@ -17,6 +25,9 @@ from veilcam_server.errors import (
     ProblemError,
     StorageError,
 )
+from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report
+from veilcam_training.bundle import Bundle
 
 Change = Callable[[LoadedBundle], Awaitable[None]]
 """Makes the camera use other keys, or raises and leaves it with those that it has."""
@@ -44,15 +55,36 @@ class BundleManager:
         *,
         limit: int = UPLOAD,
     ) -> None:
-        self._store, self._opener, self._keys = store, opener, keys
+        self._store, self._opener, self.keys = store, opener, keys
         self.limit = limit
         self._infos: dict[str, BundleInfo | None] = {keys.info.digest: keys.info}
         self._changing = asyncio.Lock()
 
+    @classmethod
+    def open(cls, settings: Settings, opener: Opener, configured: Bundle, report: Report) -> Self:
+        """Open the bundle that was in use last and still can be; raises as :func:`last_good`.
+
+        Args:
+            settings: settings of the daemon.
+            opener: makes bundles usable.
+            configured: bundle of the settings.
+            report: takes why one cannot be used any more.
+        """
+        folder = settings.state_dir / "bundles"
+        store = BundleStore(folder, settings.bundle, configured.digest, report)
+        allow_older = settings.allow_older
+        return cls(
+            store, opener, last_good(store, opener, configured, report, allow_older=allow_older)
+        )
+
+    def note_start(self, report: Report) -> None:
+        """Write down which bundle the daemon starts with; ``report`` takes that it cannot be."""
+        note_start(self._store, self._opener, self.keys, report)
+
     @property
     def info(self) -> BundleInfo:
         """Contents of the bundle in use."""
-        return self._keys.info
+        return self.keys.info
 
     async def all(self) -> InstalledBundles:
         """Every bundle, the configured one first."""
@@ -94,20 +126,20 @@ class BundleManager:
             StorageError, ProblemError: it cannot be made durable now.
         """
         async with self._alone():
-            before = self._keys
+            before = self.keys
             keys, used = await asyncio.to_thread(self._open, digest, allow_older)
             staged = await asyncio.to_thread(self._store.stage, digest, before.info.digest, used)
             try:
                 if keys is not before:
                     await change(keys)
-                    self._keys, self._infos[digest] = keys, keys.info
+                    self.keys, self._infos[digest] = keys, keys.info
                 try:
                     await asyncio.to_thread(staged.commit)
                 except StorageError:
                     # What runs must be what a restart would bring.
-                    if self._keys is not before:
+                    if self.keys is not before:
                         await change(before)
-                        self._keys = before
+                        self.keys = before
                     raise
             finally:
                 staged.close()
@@ -124,16 +156,16 @@ class BundleManager:
             BundleRefusedError: it cannot be used (any more).
         """
         async with self._changing:
-            digest, opener = self._keys.info.digest, self._opener.with_source(open_source)
+            digest, opener = self.keys.info.digest, self._opener.with_source(open_source)
             path = await asyncio.to_thread(self._store.path, digest)
             keys = await asyncio.to_thread(opener.open, path, digest)
             await change(keys)
-            self._opener, self._keys = opener, keys
+            self._opener, self.keys = opener, keys
 
     async def remove(self, digest: str) -> InstalledBundles:
         """Remove a bundle for good; raises as :meth:`BundleStore.remove`."""
         async with self._alone():
-            await asyncio.to_thread(self._store.remove, digest, self._keys.info.digest)
+            await asyncio.to_thread(self._store.remove, digest, self.keys.info.digest)
             self._infos.pop(digest, None)
         return await self.all()
 
@@ -146,7 +178,7 @@ class BundleManager:
 
     def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
         """Open a bundle that may be used now, and return the record that is kept of it."""
-        owners, keys = self._opener.owners, self._keys
+        owners, keys = self._opener.owners, self.keys
         used = dataclasses.replace(self._store.used, version=keys.info.version)
         if digest != keys.info.digest:
             keys = self._opener.open(self._store.path(digest), digest)
@@ -160,7 +192,7 @@ class BundleManager:
         return InstalledBundle(
             digest=digest,
             size=path.stat().st_size,
-            active=digest == self._keys.info.digest,
+            active=digest == self.keys.info.digest,
             configured=digest == self._store.configured,
             bundle=self._infos[digest],
         )

@@ -59,6 +59,20 @@ class ReleaseBudget:
         self._counts = dict((self._file.read() or _Released()).counts)
         self._lost = self._file.lost
 
+    def refusal(self, mask: Mask, form: Release, *, receives: bool) -> ProblemError | None:
+        """Return the reason why no embedding may leave behind a mask; None: one may.
+
+        Args:
+            mask: mask that is shown.
+            form: form in which embeddings leave behind it.
+            receives: True where there is a receiver to whom one is sealed.
+        """
+        if form == "none":
+            return withheld()
+        if form == "sealed" and not receives:
+            return nobody_receives()
+        return masks_spent() if self.is_spent(mask, form) else None
+
     def is_spent(self, mask: Mask, form: Release) -> bool:
         """Return whether no more embeddings may leave behind ``mask`` in this form."""
         limit = self._limits.get(form, 0)

@@ -13,54 +13,27 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 
-from veilcam_client.keys.commitments import calibration_digest
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import Exposure as ExposureNote
-from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
-from veilcam_server.camera.budget import (
-    ReleaseBudget,
-    masks_spent,
-    nobody_receives,
-    withheld,
-)
-from veilcam_server.camera.capture import (
-    ActiveMask,
-    Fence,
-    Lateness,
-    MaskedCapture,
-    Provenance,
-    check_exposure,
-    due_in,
-    reusable,
-)
+from veilcam_server.camera.budget import masks_spent
+from veilcam_server.camera.capture import ActiveMask, Fence, Lateness, MaskedCapture
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
-from veilcam_server.camera.guard import EVERY as GUARD
 from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
+from veilcam_server.camera.rotation import MaskRotation
+from veilcam_server.camera.self_test import Checks, SelfTest, SelfTestStatus
+from veilcam_server.camera.shutter import Shutter
 from veilcam_server.camera.watchdog import Health, stamped
-from veilcam_server.devices.base import Device, Exposure, Light
+from veilcam_server.devices.base import Device
 from veilcam_server.devices.corrected import calibrated
-from veilcam_server.devices.errors import DisplayError, LightError, SaturatedError, SensorError
-from veilcam_server.errors import (
-    FenceError,
-    NotReadyError,
-    PanelNotHidingError,
-    ProblemError,
-    RotationImpossibleError,
-    UnsteadyLightError,
-)
+from veilcam_server.devices.errors import DisplayError
+from veilcam_server.errors import NotReadyError, ProblemError, RotationImpossibleError
 from veilcam_server.masks.source import MaskSource
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
-
-_MOST_FAILURES = 2
-"""Captures in a row that the sensor may fail before nobody believes in the next one."""
 
 
 class MaskedCamera:
@@ -71,12 +44,9 @@ class MaskedCamera:
         preparation: makes epochs ready; closed with this.
         shape: shape of an embedding.
         test: proves that the panel hides the scene.
-        budget: budget of embeddings that may leave behind one mask.
         fence: times to keep.
         policy: policy of mask changes.
-        test_every: longest time from one test to the next [s].
-        guard_every: longest age of the opaque frame that vouches for an answer [s].
-        steps: levels that the panel has.
+        checks: periods of self test and guard.
         calibration: calibration that corrects measurements.
 
     Raises:
@@ -90,12 +60,9 @@ class MaskedCamera:
         shape: tuple[int, ...],
         test: SelfTest,
         *,
-        budget: ReleaseBudget,
         fence: Fence = Fence(),  # noqa: B008 - immutable
         policy: RotationPolicy = RotationOff(),  # noqa: B008 - immutable
-        test_every: float = EVERY,
-        guard_every: float = GUARD,
-        steps: int = 64,
+        checks: Checks = Checks(),  # noqa: B008 - immutable
         calibration: SignedCalibration | None = None,
     ) -> None:
         self._health = Health(fence.settle + fence.timeout + _MARGIN)
@@ -103,18 +70,15 @@ class MaskedCamera:
         self.preparation = preparation
         """What makes epochs ready."""
         self._device = calibrated(self._bare, calibration)
-        self._calibration = None if calibration is None else calibration_digest(calibration)
-        self._shape, self._fence, self._budget = shape, fence, budget
-        self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
-        self._guard = Guard(self._bare, fence, steps=steps, every=guard_every)
+        self._fence, self._budget = fence, preparation.budget
+        self._self_test = SelfTestStatus(test, self._device, fence, every=checks.test_every)
+        self._guard = Guard(self._bare, fence, steps=checks.steps, every=checks.guard_every)
         self._panel = MaskedPanel(self._device.display, preparation, self._self_test, self._guard)
-        self._good = "none yet"
-        """The last capture beside which an opaque frame was hidden."""
+        self._shutter = Shutter(self._panel, self._guard, shape)
+        self._shutter.adopt(self._device, fence, calibration)
+        self._rotation = MaskRotation(self._panel, preparation, policy)
         self._lock = threading.Lock()
-        self._failures = 0
         self._resting: str | None = None
-        self.lateness = Lateness()
-        self.policy = policy
 
     def listen(self, publish: Publish) -> None:
         """Publish every new state and mask, while the device is busy."""
@@ -131,43 +95,26 @@ class MaskedCamera:
 
     @property
     def policy(self) -> RotationPolicy:
-        """Policy of mask changes."""
-        return self._policy
+        """Policy of mask changes; raises RotationImpossibleError where there is no other mask."""
+        return self._rotation.policy
 
     @policy.setter
     def policy(self, policy: RotationPolicy) -> None:
-        if not isinstance(policy, RotationOff):
-            self._require_another()
-        self._policy = policy
+        self._rotation.policy = policy
+
+    @property
+    def lateness(self) -> Lateness:
+        """Count of masks that were not ready in time."""
+        return self._rotation.lateness
 
     @property
     def present(self) -> tuple[str | None, int]:
         """Name of the epoch shown (None: no mask) and the captures taken under it."""
-        active = self._panel.active
-        return (None, 0) if active is None else (active.epoch.name, active.captures)
-
-    @property
-    def shown_for(self) -> float | None:
-        """Time that the present mask has been shown [s]; None: no mask."""
-        active = self._panel.active
-        return None if active is None else time.monotonic() - active.since
+        return self._rotation.present
 
     def rotation(self) -> Rotation:
         """Return the policy, the present epoch, and whether the next one is ready."""
-        epoch, captures = self.present
-        return Rotation(
-            policy=self._policy,
-            epoch=epoch,
-            epoch_age_s=self.shown_for,
-            captures=captures,
-            preparation=PreparationStatus(
-                ready=self.preparation.ready,
-                prepared=self.preparation.count,
-                last_s=self.preparation.took,
-                late=self.lateness.late,
-                reused=self.lateness.reused,
-            ),
-        )
+        return self._rotation.status()
 
     def first_of(self, source: MaskSource) -> Epoch:
         """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
@@ -186,19 +133,7 @@ class MaskedCamera:
 
     def due_in(self) -> float:
         """Seconds until the mask must change, or be written again; inf when nothing is planned."""
-        return 0.0 if self._panel.covered else self._due_in()
-
-    def _due_in(self) -> float:
-        """Seconds until the mask must change."""
-        active = self._panel.active
-        if active is None:
-            return math.inf
-        return due_in(
-            self._policy,
-            shown_for=time.monotonic() - active.since,
-            captures=active.captures,
-            chance=active.chance,
-        )
+        return 0.0 if self._panel.covered else self._rotation.due_in()
 
     def test_due_in(self) -> float:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
@@ -288,8 +223,8 @@ class MaskedCamera:
         """
         with self._lock:
             self._device = calibrated(self._bare, calibration)
-            self._calibration = calibration_digest(calibration)
             self._fence = self._guard.fence = Fence(settle, self._fence.timeout)
+            self._shutter.adopt(self._device, self._fence, calibration)
             self.preparation.serve(source)
 
     def rotate(self) -> None:
@@ -321,8 +256,8 @@ class MaskedCamera:
             SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`; the source
                 before goes on.
         """
-        with self._lock, _retired_on_failure(first):
-            if not (isinstance(self._policy, RotationOff) or source.renewable):
+        with self._lock, first.retired_on_failure():
+            if not (isinstance(self.policy, RotationOff) or source.renewable):
                 raise RotationImpossibleError(
                     "this bundle holds one mask only: turn the rotation of masks off first"
                 )
@@ -331,7 +266,7 @@ class MaskedCamera:
                 # Who receives has changed since, and that holds from the next epoch on: this one.
                 first.retire()
                 first = self.preparation.first_of(source)
-            with _retired_on_failure(first):
+            with first.retired_on_failure():
                 self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:
@@ -340,7 +275,7 @@ class MaskedCamera:
         Raises as :meth:`rotate`.
         """
         with self._lock:
-            if self._due_in() > 0:
+            if self._rotation.due_in() > 0:
                 self._panel.uncover()
             elif not self.preparation.under_way:
                 self._rotate()
@@ -372,7 +307,7 @@ class MaskedCamera:
         with self._lock:
             begun = time.monotonic()
             self._require_running()
-            if self._due_in() <= 0 and not self._may_reuse():
+            if self._rotation.due_in() <= 0 and not self._rotation.may_reuse():
                 self._rotate()
             if release:
                 self._require_releasing()
@@ -383,98 +318,17 @@ class MaskedCamera:
                 raise NotReadyError(self.state.detail or "no mask is shown yet: try again")
             active.epoch.hold()
             try:
-                return self._captured(active, begun, release=release)
+                frame = self._shutter.expose(active, begun)
+                last = self._rotation.due_in() <= 0
+                self._shutter.vouch(active, frame.exposure.light, begun, last=last)
+                captured = self._shutter.capture(frame, self._self_test.age)
+                if release and active.epoch.form != "none":
+                    self._budget.spend(active.epoch.mask, active.epoch.form)
+                    captured.form = active.epoch.form
+                return captured
             except BaseException:
                 active.epoch.let_go()
                 raise
-
-    def _captured(self, active: ActiveMask, begun: float, *, release: bool) -> MaskedCapture:
-        """Expose once behind the mask that is shown, and count what leaves."""
-        rotated = time.monotonic()
-        not_before = active.completed_at + self._fence.settle
-        taken_at = datetime.now(UTC).replace(microsecond=0)
-        number = active.captures
-        # Counted before it begins: a number is never used twice, whatever comes of it.
-        active.captures += 1
-        try:
-            exposure = self._exposed(not_before)
-        except SaturatedError:
-            # A panel that is transparent saturates a sensor that is exposed for masks.
-            light = self._device.sensor.light(not_before, self._fence.timeout)
-            self._vouch(active, light, number, begun, at_once=True)
-            raise
-        ended = time.monotonic()
-        if self._panel.active is not active:
-            raise FenceError("the mask changed during the exposure, which was thrown away")
-        check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
-        self._vouch(active, exposure.light, number, begun)
-        scenes = self._device.scenes
-        scene = None if scenes is None else scenes.seen
-        if scenes is not None:
-            scenes.advance()
-        form = active.epoch.form if release else "none"
-        if form != "none":
-            self._budget.spend(active.epoch.mask, form)
-        waited = max(0.0, not_before - rotated)
-        return MaskedCapture(
-            measurement=exposure.embedding,
-            number=number,
-            taken_at=taken_at,
-            form=None if form == "none" else form,
-            active=active.epoch,
-            provenance=Provenance(active.epoch.commitment, self._self_test.age, self._calibration),
-            exposure=ExposureNote(
-                started_after_shown_s=exposure.started_at - active.completed_at,
-                settle_s=self._fence.settle,
-                duration_s=exposure.ended_at - exposure.started_at,
-            ),
-            rotation_s=rotated - begun,
-            settle_s=waited,
-            capture_s=max(0.0, ended - rotated - waited),
-            scene=scene,
-        )
-
-    def _vouch(
-        self,
-        active: ActiveMask,
-        light: Light,
-        number: int,
-        begun: float,
-        *,
-        at_once: bool = False,
-    ) -> None:
-        """Hold a capture until the guard vouches for it.
-
-        A refusal leaves at a fixed time after the request, so that its latency tells nothing.
-
-        Args:
-            active: mask of the capture.
-            light: light of the capture.
-            number: number of the capture.
-            begun: time when the request was taken up [s].
-            at_once: True: no earlier opaque frame will do.
-        """
-        levels, name = active.epoch.mask.levels, f"{number} of epoch {active.epoch.name}"
-        try:
-            with self._counted():
-                if self._guard.vouch(levels, light, last=at_once or self._due_in() <= 0):
-                    self._good = name
-            return
-        except DisplayError as error:
-            self._panel.fail(error)
-            raise
-        except PanelNotHidingError:
-            accusation = PanelNotHidingError(
-                "the panel does not hide the scene: it was reset and is tested; the last capture "
-                f"known to be good is {self._good}"
-            )
-            self._panel.accuse(accusation)
-            refusal: ProblemError = accusation
-        except UnsteadyLightError as error:
-            refusal = error
-            active.completed_at = self._guard.completed_at
-        time.sleep(max(0.0, begun + self._guard.refusal - time.monotonic()))
-        raise refusal from None
 
     def stop(self) -> None:
         """Stop the sensor, show opaque and let go; waits for a capture that is under way.
@@ -483,32 +337,12 @@ class MaskedCamera:
             DisplayError: the panel could not be made opaque; the device is let go all the same.
         """
         with self._lock:
-            if self._stopping:
+            if self.state.state == "stopping":
                 return
             self._panel.end()
             with ExitStack() as stack:
                 stack.callback(self.preparation.close)
                 self._device.close()
-
-    def _exposed(self, not_before: float) -> Exposure:
-        with self._counted():
-            exposure = self._device.sensor.capture(not_before, self._fence.timeout)
-        self._failures = 0
-        return exposure
-
-    @contextmanager
-    def _counted(self) -> Iterator[None]:
-        """Give a sensor up that fails again, until a self test has passed."""
-        try:
-            yield
-        except LightError:
-            raise
-        except SensorError as error:
-            self._failures += 1
-            if self._failures >= _MOST_FAILURES:
-                self._self_test.void()
-                self._panel.give_up(error)
-            raise
 
     def _take_back(self) -> None:
         with self._lock:
@@ -523,41 +357,30 @@ class MaskedCamera:
             finally:
                 self._panel.strand()
 
-    def _may_reuse(self) -> bool:
-        """Return whether a mask that is due may serve this capture, too."""
-        active = self._panel.active
-        if active is None or not self.preparation.under_way:
-            return False
-        return active.reuse(reusable(self._policy), self.lateness)
-
     def _require_releasing(self) -> None:
         """Have a mask shown behind which an embedding may leave; another one if need be."""
         active = self._panel.active
         if active is None:
             return
         # Who was removed receives nothing more, also where the mask does not change by itself.
-        if self._withheld(active.epoch) is None and self.preparation.is_current(active.epoch):
+        if self._refusal(active) is None and self.preparation.is_current(active.epoch):
             return
         if self.preparation.spent:
             raise masks_spent()
         # The same mask again, if there is but one: under other terms it may release.
         self._panel.show(self.preparation.take())
         shown = self._panel.active
-        if shown is not None and (error := self._withheld(shown.epoch)) is not None:
+        if shown is not None and (error := self._refusal(shown)) is not None:
             raise error
 
-    def _withheld(self, epoch: Epoch) -> ProblemError | None:
-        """Return the reason why no embedding may leave behind the mask of an epoch."""
-        if epoch.form == "none":
-            return withheld()
-        if epoch.form == "sealed" and epoch.sealer is None:
-            return nobody_receives()
-        return masks_spent() if self._budget.is_spent(epoch.mask, epoch.form) else None
+    def _refusal(self, active: ActiveMask) -> ProblemError | None:
+        epoch = active.epoch
+        return self._budget.refusal(epoch.mask, epoch.form, receives=epoch.sealer is not None)
 
     def _rotate(self) -> None:
         self._require_running()
         if self._panel.active is not None:
-            self._require_another()
+            self._rotation.require_another()
         self._panel.show(self.preparation.take())
 
     def _rest(self, reason: str) -> None:
@@ -565,30 +388,10 @@ class MaskedCamera:
         if self.state.state != "off":
             raise DisplayError(self.state.detail or "", remedy=self.state.remedy)
 
-    @property
-    def _stopping(self) -> bool:
-        return self.state.state == "stopping"
-
     def _require_running(self) -> None:
-        if self._stopping:
+        if self.state.state == "stopping":
             raise NotReadyError("the daemon is stopping")
         if self.state.state == "calibrating":
             raise NotReadyError("the camera is being calibrated: see GET /v1/calibration")
         if self._resting is not None:
             raise ProblemError("not_looking", self._resting)
-
-    def _require_another(self) -> None:
-        if not self.preparation.renewable:
-            raise RotationImpossibleError(
-                "the bundle holds one pair only: serve a bundle with two or more to change masks"
-            )
-
-
-@contextmanager
-def _retired_on_failure(epoch: Epoch) -> Iterator[None]:
-    """Retire an epoch that could not be shown; twice does no harm."""
-    try:
-        yield
-    except BaseException:
-        epoch.retire()
-        raise

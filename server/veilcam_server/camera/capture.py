@@ -133,6 +133,21 @@ class ActiveMask:
 
 
 @dataclass(frozen=True, slots=True)
+class Frame:
+    """Exposure under a mask, before the guard vouched for it."""
+
+    exposure: Exposure = field(repr=False)
+    active: ActiveMask
+    number: int
+    """Number of the exposure in its epoch, from 0 on."""
+    taken_at: datetime
+    """UTC, to the second."""
+    rotation_s: float
+    settle_s: float
+    capture_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Provenance:
     """Entry of the log beside an answer."""
 
@@ -195,20 +210,34 @@ class MaskedCapture:
     ``release`` raises ValueError where nothing was to leave.
     """
 
-    measurement: Measurement = field(repr=False)
-    number: int
-    taken_at: datetime
-    form: Form | None
-    active: Epoch
+    frame: Frame
     provenance: Provenance
     exposure: ExposureNote
-    rotation_s: float
-    settle_s: float
-    capture_s: float
     scene: int | None
     """Number of what a simulated camera looked at."""
+    form: Form | None = None
     replay: None = field(default=None, init=False)
     _done: bool = field(default=False, init=False, repr=False)
+
+    @property
+    def measurement(self) -> Measurement:
+        """Embedding as the sensor gave it."""
+        return self.frame.exposure.embedding
+
+    @property
+    def active(self) -> Epoch:
+        """Epoch of the mask that was shown."""
+        return self.frame.active.epoch
+
+    @property
+    def number(self) -> int:
+        """Number of the capture in its epoch."""
+        return self.frame.number
+
+    @property
+    def taken_at(self) -> datetime:
+        """UTC, to the second."""
+        return self.frame.taken_at
 
     @property
     def epoch(self) -> str:
@@ -239,9 +268,9 @@ class MaskedCapture:
             raise ValueError("nothing was to leave of this capture")
         timing = Timing(
             queue_s=queue_s,
-            rotation_s=self.rotation_s,
-            settle_s=self.settle_s,
-            capture_s=self.capture_s,
+            rotation_s=self.frame.rotation_s,
+            settle_s=self.frame.settle_s,
+            capture_s=self.frame.capture_s,
         )
         notes = Notes(
             exposure=self.exposure,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 
 from veilcam_client.keys.blocks import Sealer
@@ -66,6 +66,15 @@ class Epoch:
             self._retired = True
             self._erase_if_over()
 
+    @contextmanager
+    def retired_on_failure(self) -> Iterator[None]:
+        """Give the epoch up where it could not be shown."""
+        try:
+            yield
+        except BaseException:
+            self.retire()
+            raise
+
     def _erase_if_over(self) -> None:
         if self._retired and not self._uses and not self.erased:
             self.erased = True
@@ -91,7 +100,7 @@ class Preparation:
         terms: Callable[[], Terms],
         budget: ReleaseBudget,
     ) -> None:
-        self._source, self._signer, self._terms, self._budget = source, signer, terms, budget
+        self._source, self._signer, self._terms, self.budget = source, signer, terms, budget
         self._thread = ThreadPoolExecutor(1, "preparation")
         self._next: Future[Epoch] | None = None
         self.last_mark = ""
@@ -110,7 +119,7 @@ class Preparation:
     def spent(self) -> bool:
         """Return whether all masks are stored, and none of them may release anything more."""
         marks = self._source.marks
-        return bool(marks) and marks == self._budget.spent(marks, self._terms().form)
+        return bool(marks) and marks == self.budget.spent(marks, self._terms().form)
 
     @property
     def under_way(self) -> bool:
@@ -216,7 +225,7 @@ class Preparation:
     def _avoided(self, source: MaskSource, form: Release) -> frozenset[str]:
         """Return the marks of the mask shown last, and of those that are spent."""
         last = frozenset((self.last_mark,)) & source.marks
-        spent = self._budget.spent(source.marks, form)
+        spent = self.budget.spent(source.marks, form)
         return last if source.marks == last | spent else last | spent
 
 

@@ -135,7 +135,8 @@ class MaskedPanel:
         self._put_back(self.active, error.remedy)
 
     def give_up(self, error: SensorError) -> None:
-        """No mask is shown any more, as the sensor behind it fails."""
+        """No mask is shown any more before a test, as the sensor behind it fails."""
+        self._self_test.void()
         self._drop()
         self._make_opaque("degraded", str(error), error.remedy)
 

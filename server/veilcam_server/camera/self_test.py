@@ -6,6 +6,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_server.camera.capture import Fence, check_exposure
+from veilcam_server.camera.guard import EVERY as GUARD_EVERY
 from veilcam_server.devices.base import Device, Exposure, Levels
 from veilcam_server.errors import SelfTestError, UndecidedError
 
@@ -205,6 +207,18 @@ def _likeness(first: _Measurement, last: _Measurement, down: int, right: int) ->
 
 EVERY = 600.0
 """Longest that a test holds, unless it is said otherwise [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """Checks that the panel hides the scene."""
+
+    test_every: float = EVERY
+    """Longest time from one self test to the next [s]."""
+    guard_every: float = GUARD_EVERY
+    """Longest age of the opaque frame that vouches for an answer [s]."""
+    steps: int = 64
+    """Levels that the panel has."""
 
 
 class SelfTestStatus:

@@ -10,7 +10,8 @@ import typer
 from veilcam_server.cli.options import options_of
 from veilcam_server.cli.terminal import JsonOption, enter_state, fail, require_software
 from veilcam_server.errors import CalibrationError, FenceError, StartError
-from veilcam_server.settings import Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import Wiring
 
 
 @options_of(

@@ -10,7 +10,7 @@ import typer
 from veilcam_server.cli.options import options_of
 from veilcam_server.cli.terminal import JsonOption, fail
 from veilcam_server.errors import StartError
-from veilcam_server.settings import DoctorSettings
+from veilcam_server.wiring import DoctorSettings
 
 _SIGNS = {"ok": ("ok", "green"), "bad": ("FIX", "bold red"), "skipped": ("later", "yellow")}
 

@@ -14,8 +14,9 @@ from veilcam_client import __version__
 from veilcam_server.cli import calibrate, doctor, serve, state, tokens
 from veilcam_server.cli.terminal import JsonOption, enter_state, fail
 from veilcam_server.demo_data import DIGITS, load_digits
+from veilcam_server.environment import default_state_dir
 from veilcam_server.errors import StartError
-from veilcam_server.settings import SCENE_NAME, default_state_dir
+from veilcam_server.settings import SCENE_NAME
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -12,8 +12,8 @@ from typing import Annotated
 import typer
 
 from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail
+from veilcam_server.environment import default_state_dir
 from veilcam_server.errors import StartError
-from veilcam_server.settings import default_state_dir
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="File of the backup.")]
 

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail, one_line
+from veilcam_server.environment import default_state_dir
 from veilcam_server.errors import ProblemError, StartError
-from veilcam_server.settings import default_state_dir
 
 if TYPE_CHECKING:
     from veilcam_server.security.tokens import TokenStore

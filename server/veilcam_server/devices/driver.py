@@ -16,7 +16,8 @@ from veilcam_client.wire.simulation import PanelFaults, SensorFaults
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.base import Levels, OpenDisplay, Sensor
 from veilcam_server.devices.raw import Raw, SensorMode
-from veilcam_server.settings import Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import Wiring
 
 RawLight = Callable[[float, float], Raw]
 """Takes begin and end of an exposure [s, monotonic], gives a raw frame of (rows, columns)."""

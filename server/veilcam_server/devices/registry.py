@@ -13,7 +13,8 @@ from veilcam_server.devices.base import Device
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError, DisplayError
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
-from veilcam_server.settings import Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import Wiring
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle

@@ -19,7 +19,7 @@ from veilcam_server.devices.errors import (
     without_text,
 )
 from veilcam_server.devices.extras import import_extra, reinstall
-from veilcam_server.settings import Wiring
+from veilcam_server.wiring import Wiring
 
 GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
 """Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""

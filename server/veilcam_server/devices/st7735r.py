@@ -25,7 +25,7 @@ from veilcam_server.devices.errors import DisplayError, Refused
 from veilcam_server.devices.spi import Lines, Spi, bus_failed, open_bus
 from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, TABS, Tab
 from veilcam_server.devices.st7735r_status import identify, is_read, require_sound
-from veilcam_server.settings import Wiring
+from veilcam_server.wiring import Wiring
 
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
 """Bytes of all visible pixels in 6-6-6."""

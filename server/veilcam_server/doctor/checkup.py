@@ -5,18 +5,31 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from veilcam_server.devices.driver import DisplayDriver, SensorDriver
-from veilcam_server.devices.errors import DeviceError
+from veilcam_server.devices.driver import DisplayDriver
 from veilcam_server.devices.registry import drivers
-from veilcam_server.devices.spi import GPIO_CHIPS
+from veilcam_server.doctor.finding import Finding, halves
+from veilcam_server.doctor.hardware import (
+    check_answers,
+    check_camera,
+    check_clock_of_bus,
+    check_frame_memory,
+    check_lines,
+    check_model,
+    check_need,
+    check_package,
+    check_release,
+    check_spi,
+)
 from veilcam_server.doctor.machine import Machine
+from veilcam_server.environment import PREFIX, unknown_names
 from veilcam_server.errors import BundleRefusedError, StartError
-from veilcam_server.settings import PREFIX, DoctorSettings, Settings, Wiring, unknown_names
+from veilcam_server.settings import Settings
 from veilcam_server.system.state_folder import require_readable
+from veilcam_server.wiring import DoctorSettings, Wiring
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
@@ -25,20 +38,6 @@ LEAST_SYSTEMD = 248
 """The first that keeps a service from running what it wrote (``NoExecPaths=``)."""
 LEAST_ROOM = 200 * 2**20
 """On the disk of the state directory [bytes]."""
-
-
-Outcome = Literal["ok", "bad", "skipped"]
-"""All is well; the daemon cannot serve as it should; or something else must be well first."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Finding of the doctor, and its remedy where something is wrong."""
-
-    name: str
-    outcome: Outcome
-    found: str
-    remedy: str | None = None
 
 
 Probe = tuple[str, Callable[[], Iterable[Finding]]]
@@ -52,17 +51,22 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
     """
     display, sensor = drivers(settings)
     # Once: a compiled package that failed may do worse when it is imported again.
-    packages = {name: _package(machine, name) for name in (*display.packages, *sensor.packages)}
+    packages = {
+        name: check_package(machine, name) for name in (*display.packages, *sensor.packages)
+    }
     usable = {name for name, finding in packages.items() if finding.outcome == "ok"}
     probes: tuple[Probe, ...] = (
-        ("board", lambda: [_model(machine)]),
-        ("release", lambda: _release(machine)),
+        ("board", lambda: [check_model(machine)]),
+        ("release", lambda: check_release(machine)),
         ("packages", packages.values),
         *_panel_bus(machine, settings, display, usable),
-        ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
-        ("panel answers", lambda: _answers(settings, display, usable)),
-        ("frame memory", lambda: [_frame_memory(machine)]),
-        ("camera", lambda: [_camera(machine, settings, sensor, usable)]),
+        (
+            "panel",
+            lambda: [check_need(settings, name, what) for name, what in display.needs.items()],
+        ),
+        ("panel answers", lambda: check_answers(settings, display, usable)),
+        ("frame memory", lambda: [check_frame_memory(machine)]),
+        ("camera", lambda: [check_camera(machine, settings, sensor, usable)]),
         ("environment", lambda: [_environment()]),
         ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
         ("disk", lambda: [_room(machine, settings.state_dir)]),
@@ -86,9 +90,9 @@ def examine_beside(machine: Machine, settings: Settings) -> Iterator[Finding]:
     """
     told = DoctorSettings(**{name: getattr(settings, name) for name in DoctorSettings.model_fields})
     real: tuple[Probe, ...] = (
-        ("board", lambda: [_model(machine)]),
-        ("release", lambda: _release(machine)),
-        ("frame memory", lambda: [_frame_memory(machine)]),
+        ("board", lambda: [check_model(machine)]),
+        ("release", lambda: check_release(machine)),
+        ("frame memory", lambda: [check_frame_memory(machine)]),
         ("wall clock", lambda: [_wall_clock(machine, told)]),
         ("systemd", lambda: [_systemd(machine)]),
     )
@@ -130,9 +134,9 @@ def _panel_bus(
     if fastest is None:
         return ()
     return (
-        ("panel bus", lambda: [_spi(machine, wiring)]),
-        ("bus clock", lambda: [_clock_of_bus(wiring, fastest)]),
-        ("GPIO chip", lambda: _lines(machine, wiring, usable)),
+        ("panel bus", lambda: [check_spi(machine, wiring)]),
+        ("bus clock", lambda: [check_clock_of_bus(wiring, fastest)]),
+        ("GPIO chip", lambda: check_lines(machine, wiring, usable)),
     )
 
 
@@ -147,165 +151,8 @@ def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]
         ]
 
 
-def _model(machine: Machine) -> Finding:
-    model = machine.text("/proc/device-tree/model")
-    if model is not None and model.startswith("Raspberry Pi"):
-        return Finding("board", "ok", model)
-    return Finding(
-        "board",
-        "bad",
-        model or "no Raspberry Pi",
-        "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'",
-    )
-
-
-def _release(machine: Machine) -> Iterator[Finding]:
-    """Return whether it came as a Debian package."""
-    installed = machine.text("/usr/lib/veilcam/unpacked/RELEASE")
-    if installed is None:
-        return
-    running = machine.path("/var/lib/veilcam-release/current").readlink().name
-    if running == installed:
-        yield Finding("release", "ok", running)
-    else:
-        yield Finding(
-            "release",
-            "bad",
-            f"{installed} did not start, so {running} runs, which was there before",
-            "see why with journalctl -u veilcamd, and install one that starts",
-        )
-
-
-def _package(machine: Machine, name: str) -> Finding:
-    try:
-        machine.load(name)
-    except DeviceError as error:
-        return Finding(name, "bad", *_halves(error))
-    return Finding(name, "ok", "installed")
-
-
-def _spi(machine: Machine, wiring: Wiring) -> Finding:
-    node = machine.path(wiring.spi)
-    if not node.exists():
-        texts = (machine.text(f"/boot{folder}/config.txt") or "" for folder in ("/firmware", ""))
-        on = any(re.search(r"^\s*dtparam=spi=on\s*$", text, re.MULTILINE) for text in texts)
-        return Finding(
-            "panel bus",
-            "bad",
-            f"there is no {wiring.spi}",
-            "SPI is switched on in config.txt: restart, or give another --spi"
-            if on
-            else "sudo raspi-config nonint do_spi 0, then restart",
-        )
-    if not machine.may_write(node):
-        return Finding("panel bus", "bad", f"{wiring.spi} is not yours to open", _join("spi"))
-    return Finding("panel bus", "ok", str(wiring.spi))
-
-
-def _clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
-    found = f"{wiring.spi_hz:,} Hz"
-    if wiring.spi_hz > fastest and not wiring.allow_fast_spi:
-        return Finding(
-            "bus clock",
-            "bad",
-            f"{found}, too fast for the panel",
-            f"give --spi-hz {fastest} or less, or --allow-fast-spi",
-        )
-    return Finding("bus clock", "ok", found)
-
-
-def _needed(wiring: Wiring, name: str, what: str) -> Finding:
-    """Check a setting without which the panel cannot be opened."""
-    words, value = name.replace("_", " "), getattr(wiring, name)
-    if value is None:
-        option, variable = f"--{name.replace('_', '-')}", f"VEILCAM_{name.upper()}"
-        return Finding(words, "bad", "not known", f"give {option} (or {variable}) {what}")
-    return Finding(words, "ok", str(value))
-
-
-def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Finding]:
-    lines = (("line of D/C", wiring.data_line), ("line of RESET", wiring.reset_line))
-    names = ["GPIO chip", *(name for name, _ in lines)]
-    if "gpiod" not in usable:
-        yield from (Finding(name, "skipped", "needs gpiod") for name in names)
-        return
-    chips = machine.chips()
-    wanted = GPIO_CHIPS if wiring.gpio_chip is None else (wiring.gpio_chip,)
-    label = next((label for label in wanted if label in chips), None)
-    if label is None:
-        yield Finding(
-            "GPIO chip",
-            "bad",
-            f"no {' or '.join(wanted)}; there is {', '.join(chips) or 'none that you may open'}",
-            "give --gpio-chip the label of yours" if chips else _join("gpio"),
-        )
-        yield from (Finding(name, "skipped", "needs the GPIO chip") for name in names[1:])
-        return
-    yield Finding("GPIO chip", "ok", f"{label}, {chips[label]}")
-    for name, line in lines:
-        try:
-            user = machine.line_user(chips[label], line)
-        except DeviceError as error:
-            yield Finding(name, "bad", *_halves(error))
-            continue
-        if user is None:
-            yield Finding(name, "ok", f"{line}, free")
-        else:
-            yield Finding(
-                name,
-                "bad",
-                f"{line}, used by {user}",
-                "end what uses it (a running veilcamd, or an overlay in config.txt), or wire "
-                "another line",
-            )
-
-
-def _answers(wiring: Wiring, display: DisplayDriver, usable: Set[str]) -> Iterator[Finding]:
-    """Return whether the panel is asked after each mask."""
-    name = "panel answers"
-    if wiring.panel_read_back is None:
-        return
-    if display.identify is None:
-        remedy = "leave out --panel-read-back"
-        yield Finding(name, "bad", f"{display.name} cannot be asked", remedy)
-    elif not set(display.packages) <= usable:
-        yield Finding(name, "skipped", f"needs {' and '.join(display.packages)}")
-    else:
-        try:
-            yield Finding(name, "ok", display.identify(wiring))
-        except DeviceError as error:
-            yield Finding(name, "bad", *_halves(error))
-
-
-def _frame_memory(machine: Machine) -> Finding:
-    heaps = sorted(machine.path("/dev/dma_heap").glob("*"))
-    if not heaps:
-        return Finding(
-            "frame memory", "bad", "there is no /dev/dma_heap", "use a current Raspberry Pi OS"
-        )
-    if not any(machine.may_write(heap) for heap in heaps):
-        return Finding("frame memory", "bad", "/dev/dma_heap is not yours to open", _join("video"))
-    return Finding("frame memory", "ok", "/dev/dma_heap")
-
-
-def _camera(machine: Machine, wiring: Wiring, sensor: SensorDriver, usable: Set[str]) -> Finding:
-    if not set(sensor.packages) <= usable:
-        return Finding("camera", "skipped", f"needs {' and '.join(sensor.packages)}")
-    try:
-        camera = machine.open_camera(wiring.camera_number)
-    except DeviceError as error:
-        return Finding("camera", "bad", *_halves(error))
-    try:
-        model = str(camera.camera_properties.get("Model", "unknown"))
-    finally:
-        camera.close()
-    if sensor.model not in model:
-        return Finding("camera", "bad", model, f"connect {sensor.product}")
-    return Finding("camera", "ok", f"{model}, number {wiring.camera_number}")
-
-
 def _environment() -> Finding:
-    unknown = unknown_names()
+    unknown = unknown_names(Settings.model_fields)
     if not unknown:
         return Finding("environment", "ok", "every VEILCAM_... is known")
     found = f"{', '.join(unknown)}: no setting"
@@ -341,7 +188,7 @@ def _state_dir(machine: Machine, directory: Path) -> Finding:
     try:
         require_readable(path)
     except StartError as error:
-        return Finding("state directory", "bad", *_halves(error))
+        return Finding("state directory", "bad", *halves(error))
     return Finding("state directory", "ok", str(directory))
 
 
@@ -364,7 +211,7 @@ def _bundle(settings: DoctorSettings) -> Iterator[Finding]:
     try:
         bundle = read_bundle(settings.bundle)
     except BundleError as error:
-        found, remedy = _halves(error, settings.bundle)
+        found, remedy = halves(error, settings.bundle)
         yield Finding("bundle", "bad", f"{settings.bundle}: {found}", remedy)
         yield _without_bundle()
         return
@@ -382,7 +229,7 @@ def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
     try:
         Owners.open(settings.owner_keys).check(bundle)
     except (StartError, BundleRefusedError) as error:
-        return Finding("owner", "bad", *_halves(error))
+        return Finding("owner", "bad", *halves(error))
     if bundle.owner is None:
         return Finding("owner", "ok", "any: no --owner-keys are given")
     return Finding("owner", "ok", f"version {bundle.version}, signed by {bundle.owner.short}")
@@ -416,18 +263,8 @@ def _systemd(machine: Machine) -> Finding:
     return Finding("systemd", "ok", told[1])
 
 
-def _halves(error: Exception, path: Path | None = None) -> tuple[str, str]:
-    """Split an error of ours into what is wrong, without ``path``, and what to do."""
-    found, _, remedy = str(error).removeprefix(f"{path}: ").rpartition(": ")
-    return (found, remedy) if found else (remedy, "export or copy it again")
-
-
 def _nearest(path: Path) -> Path:
     """Return the path, or the nearest directory above it that exists."""
     while not path.exists():
         path = path.parent
     return path
-
-
-def _join(group: str) -> str:
-    return f"sudo usermod -aG {group} $USER, then log in again"

@@ -14,6 +14,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from veilcam_client.wire.base import RUN_HEADER
 from veilcam_server.security.headers import call_header, security_headers
 from veilcam_server.system.logs import Throttle
 
@@ -47,10 +48,14 @@ class Connections:
         waiting: greatest number of accepted sockets that wait to become connections.
         headers: longest time for a TLS handshake, and for the headers of a request [s].
         body: longest time for each :data:`PORTION` of a body [s].
+        run: name of this run of the daemon.
     """
 
-    def __init__(self, limit: int, waiting: int, headers: float = 10.0, body: float = 20.0) -> None:
+    def __init__(
+        self, limit: int, waiting: int, headers: float = 10.0, body: float = 20.0, run: str = ""
+    ) -> None:
         self.limit, self.waiting, self.headers, self.body = limit, waiting, headers, body
+        self.run = run
         self.dropped: Counter[Reason] = Counter()
         """Connections that the gate ended, by reason."""
         self.failures = 0
@@ -194,6 +199,7 @@ class GateProtocol(H11Protocol):
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, and close the connection."""
         headers = {"Content-Type": "text/plain", "Connection": "close", **security_headers(())}
+        headers[RUN_HEADER] = self.gate.run
         if self.conn.our_state is h11.SEND_RESPONSE:  # the body is at fault, not the headers
             headers |= call_header(Headers(raw=self.headers))
         if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):

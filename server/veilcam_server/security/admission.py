@@ -18,7 +18,6 @@ from veilcam_server.errors import (
 )
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.idempotency import IdempotencyKeys
-from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.log import Log
@@ -50,7 +49,7 @@ class Admission:
         streams_of_one: greatest number of event streams of one caller.
         uploads: greatest number of uploads under way, all callers together.
         uploads_of_one: greatest number of uploads of one caller under way.
-        keys: idempotency keys that came lately.
+        keys: idempotency keys of this run of the daemon.
         lease: lease of the camera.
         settings: settings of the daemon, for its diagnostics: without paths, addresses and labels.
         sessions: sessions of pages in browsers; None where no tokens are wanted, and in tests.
@@ -182,7 +181,6 @@ def open_admission(
         ConcurrencyLimit(settings.concurrency),
         ConcurrencyLimit(settings.streams, STREAMS),
         ConcurrencyLimit(settings.caller_streams, STREAMS_OF_ONE),
-        keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
         settings=settings.redacted(),
         sessions=sessions,
     )

@@ -1,85 +1,80 @@
-"""A request that is repeated with the same key is done once and answered twice."""
+"""Idempotency keys, which hold for one run of the daemon."""
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import math
+import secrets
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
-import structlog
-
+from veilcam_client.wire.base import UNKNOWN_RUN
 from veilcam_server.errors import ProblemError
-from veilcam_server.security.key_record import LIFETIME, KeyRecord
-from veilcam_server.system.logs import Throttle
 
 ResultT = TypeVar("ResultT")
 
+LIFETIME = 60.0
+"""Time for which an answer is kept [s]."""
 KEPT = 256
 """Answers to one caller that are kept. One of 24 x 32 values is 30 kB, so that they are 8 MB."""
-CAPACITY = 8192
-"""Keys of one caller in a minute. Who asks no more often than the settings allow by default, 100
-times a second, never has so many."""
-
-_REUSED = "this Idempotency-Key came before with another request: use a new key"
-
-log = structlog.get_logger()
+CAPACITY = 4096
+"""Keys of one caller that are remembered."""
+CALLERS = 1024
+"""Callers whose keys are remembered."""
 
 
 @dataclass(slots=True)
 class _Entry:
     fingerprint: bytes
-    since: float
-    task: asyncio.Task[Any] | None = None
+    task: asyncio.Task[Any] | None
     """None where the answer is not kept any more."""
-
-    @property
-    def done(self) -> bool:
-        return self.task is None or self.task.done()
 
 
 @dataclass(slots=True)
-class _Room:
+class _CallerKeys:
     """Keys of one caller, the oldest first."""
 
-    entries: OrderedDict[bytes, _Entry] = field(default_factory=OrderedDict)
-    answered: deque[bytes] = field(default_factory=deque)
+    entries: OrderedDict[str, _Entry] = field(default_factory=OrderedDict)
+    answered: deque[tuple[float, _Entry]] = field(default_factory=deque)
 
     def forget(self, before: float) -> None:
-        """Forget keys that are older, and answers for which there is no room."""
-        while self.entries:
-            first = next(iter(self.entries.values()))
-            if first.since >= before or not first.done:
-                break
-            self.entries.popitem(last=False)
-        while len(self.answered) > KEPT:
-            oldest = self.entries.get(self.answered.popleft())
-            if oldest is not None and oldest.done:
-                oldest.task = None
+        """Forget older answers, and answers for which there is no room."""
+        while self.answered and (self.answered[0][0] < before or len(self.answered) > KEPT):
+            self.answered.popleft()[1].task = None
 
 
 class IdempotencyKeys:
-    """Keys and answers of the last minute; every caller has room of its own. Failures are not kept.
+    """Keys of each caller with their answers. Failures are not kept.
 
     Lives on one event loop.
 
     Args:
-        record: tells what was done before a restart; None where nobody needs to know.
         now: a clock that is never set [s].
     """
 
-    def __init__(
-        self, record: KeyRecord | None = None, now: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._record, self._now = record, now
-        self._rooms: dict[str, _Room] = {}
-        self._before = {} if record is None else record.read()
-        self._started = now()
-        self._not_written = Throttle()
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self.run = secrets.token_hex(16)
+        """Name of this run of the daemon."""
+        self._now = now
+        self._callers: OrderedDict[str, _CallerKeys] = OrderedDict()
+
+    def require_run(self, caller: str, key: str, run: str | None) -> None:
+        """Raise :class:`ProblemError` for a key of another run of the daemon.
+
+        Args:
+            caller: caller whose key it is.
+            key: chosen by the client.
+            run: run that the key belongs to; None: this one.
+        """
+        known = self._callers.get(caller, _CallerKeys()).entries
+        if run not in (None, self.run) and not (run == UNKNOWN_RUN and key in known):
+            raise ProblemError(
+                "answer_lost",
+                "the daemon was restarted since, and does not know whether this Idempotency-Key "
+                "came before: look what is the case now, or ask again with the present Veilcam-Run",
+            )
 
     async def once(
         self,
@@ -97,89 +92,50 @@ class IdempotencyKeys:
             work: function that does the work.
 
         Raises:
-            ProblemError: the key came before with another fingerprint, the answer is lost, or the
-                caller has used too many keys.
+            ProblemError: the key came before with another fingerprint, or the answer is not kept.
         """
         if key is None:
             return await work()
-        self._forget()
-        name = hashlib.sha256(f"{caller}\n{key}".encode()).digest()
-        self._require_new(name, fingerprint)
-        room = self._rooms.setdefault(caller, _Room())
-        entry = room.entries.get(name)
-        if entry is None:
-            entry = self._begin(room, name, fingerprint, work)
-        elif entry.fingerprint != fingerprint:
-            raise ProblemError("idempotency_key_reused", _REUSED)
+        for each in self._callers.values():
+            each.forget(self._now() - LIFETIME)
+        keys = self._callers.setdefault(caller, _CallerKeys())
+        self._callers.move_to_end(caller)
+        if len(self._callers) > CALLERS:
+            self._callers.popitem(last=False)
+        entry = keys.entries.get(key) or self._begin(keys, key, fingerprint, work)
+        if entry.fingerprint != fingerprint:
+            raise ProblemError(
+                "idempotency_key_reused",
+                "this Idempotency-Key came before with another request: use a new key",
+            )
         if entry.task is None:
             raise ProblemError(
                 "answer_lost",
-                "what this Idempotency-Key asks for was done, and its answer made room for later "
-                "ones: look what is the case now, or ask again with a new key",
+                "what this Idempotency-Key asks for was done, and its answer is not kept any more: "
+                "look what is the case now, or ask again with a new key",
             )
         return cast(ResultT, await asyncio.shield(entry.task))
 
     def _begin(
         self,
-        room: _Room,
-        name: bytes,
+        keys: _CallerKeys,
+        key: str,
         fingerprint: bytes,
         work: Callable[[], Coroutine[Any, Any, ResultT]],
     ) -> _Entry:
-        now = self._now()
-        if len(room.entries) >= CAPACITY:
-            oldest = next(iter(room.entries.values()))
-            pause = max(1, math.ceil(oldest.since + LIFETIME - now))
-            raise ProblemError(
-                "too_many_requests",
-                f"{CAPACITY} of your idempotency keys are remembered: try again in {pause} s",
-                retry_after=pause,
+        task = asyncio.create_task(work())
+        entry = keys.entries[key] = _Entry(fingerprint, task)
+        if len(keys.entries) > CAPACITY:
+            done = (
+                name for name, each in keys.entries.items() if not each.task or each.task.done()
             )
-        task = asyncio.create_task(self._do(name, fingerprint, work))
-        entry = room.entries[name] = _Entry(fingerprint, now, task)
-        room.answered.append(name)
+            keys.entries.pop(next(done, ""), None)
 
-        def drop_failure(task: asyncio.Task[Any]) -> None:
+        def end(task: asyncio.Task[Any]) -> None:
             if task.cancelled() or task.exception() is not None:
-                room.entries.pop(name, None)
+                keys.entries.pop(key, None)
+            else:
+                keys.answered.append((self._now(), entry))
 
-        task.add_done_callback(drop_failure)
+        task.add_done_callback(end)
         return entry
-
-    async def _do(
-        self, name: bytes, fingerprint: bytes, work: Callable[[], Coroutine[Any, Any, ResultT]]
-    ) -> ResultT:
-        """Do the work, and write down that it was done before anybody hears of it."""
-        result = await work()
-        if self._record is not None:
-            try:
-                await asyncio.to_thread(self._record.add, name, fingerprint)
-            except OSError as error:
-                # A full disk stops no capture. The key holds until the daemon ends.
-                if (count := self._not_written.due()) is not None:
-                    log.warning(
-                        "idempotency keys will not survive a restart",
-                        error=error.strerror,
-                        times=count,
-                    )
-        return result
-
-    def _require_new(self, name: bytes, fingerprint: bytes) -> None:
-        """Raise what tells of a key that came before the restart."""
-        if name in self._before:
-            if self._before[name] != fingerprint:
-                raise ProblemError("idempotency_key_reused", _REUSED)
-            raise ProblemError(
-                "answer_lost",
-                "what this Idempotency-Key asks for was done, and its answer was lost when the "
-                "daemon was restarted: look what is the case now, or ask again with a new key",
-            )
-
-    def _forget(self) -> None:
-        limit = self._now() - LIFETIME
-        if self._before and self._started < limit:
-            self._before = {}
-        for caller, room in tuple(self._rooms.items()):
-            room.forget(limit)
-            if not room.entries:
-                del self._rooms[caller]

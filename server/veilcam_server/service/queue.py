@@ -6,12 +6,13 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from typing import TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from veilcam_client.wire.events import Fault
+from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Publish
 from veilcam_server.errors import ProblemError
 
@@ -62,13 +63,28 @@ class DeviceQueue:
             counted: True: the time it takes counts in the estimate for others that wait.
             told: True: a failure is published; else only the state tells of it.
         """
+        job = self._thread.submit(_timed, work, time.monotonic())
+        result, _ = await self._end(job, counted=counted, told=told)
+        return result
 
-        def timed() -> tuple[ResultT, float]:
-            begun = time.monotonic()
-            return work(), time.monotonic() - begun
+    async def capture(self, take: Callable[[], Captured]) -> tuple[Captured, float]:
+        """Take a capture; return it with the time that it waited for the device [s].
 
+        A capture that was begun when its request is called off is let go of at its end.
+        """
+        job = self._thread.submit(_timed, take, time.monotonic())
         try:
-            result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
+            return await self._end(job)
+        except asyncio.CancelledError:
+            job.add_done_callback(_let_go)
+            raise
+
+    async def _end(
+        self, job: Future[_Timed[ResultT]], *, counted: bool = True, told: bool = True
+    ) -> tuple[ResultT, float]:
+        """Return the result of a job and the time that it waited [s]."""
+        try:
+            done = await asyncio.wrap_future(job)
         except ProblemError as error:
             if told and error.code not in _REFUSALS:
                 self._publish(
@@ -76,9 +92,28 @@ class DeviceQueue:
                 )
             raise
         if counted:
-            self._recent += 0.2 * (took - self._recent)
-        return result
+            self._recent += 0.2 * (done.took - self._recent)
+        return done.result, done.waited
 
     def close(self) -> None:
         """End the thread once it is idle."""
         self._thread.shutdown()
+
+
+class _Timed(NamedTuple, Generic[ResultT]):
+    """Result of work, the time that it waited, and the time that it took [s]."""
+
+    result: ResultT
+    waited: float
+    took: float
+
+
+def _timed(work: Callable[[], ResultT], asked: float) -> _Timed[ResultT]:
+    begun = time.monotonic()
+    result = work()
+    return _Timed(result, begun - asked, time.monotonic() - begun)
+
+
+def _let_go(job: Future[_Timed[Captured]]) -> None:
+    if not job.cancelled() and job.exception() is None:
+        job.result().result.done()

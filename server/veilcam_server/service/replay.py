@@ -29,18 +29,15 @@ from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices import Device
 from veilcam_server.errors import ReplayingError, StartError
 from veilcam_server.masks.source import Evidence, MaskSource
-from veilcam_server.sealing.identity import DeviceKey
-from veilcam_server.security.log import FOLDER, Log
-from veilcam_server.service.service import Service
+from veilcam_server.service.served_camera import Releases, ServedCamera
 from veilcam_server.settings import Settings
-from veilcam_server.system.state_file import HeldDirectory
 
 
-def replay_service(settings: Settings, path: Path) -> Service:
-    """Return a service that answers from a recording.
+def replayed_camera(settings: Settings, path: Path) -> ServedCamera:
+    """Return a camera that answers from a recording.
 
     Raises:
-        StartError: it cannot be read, or another daemon uses the state directory.
+        StartError: it cannot be read.
     """
     try:
         recording = read_recording(path)
@@ -50,8 +47,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
     if status.release == "none":  # no camera released these
         raise StartError(f"{path} was recorded from a camera that releases nothing: record another")
     form = status.release
-    held = HeldDirectory(settings.state_dir)
-    return Service(
+    return ServedCamera(
         ReplayedCamera(recording),
         Identity(
             DeviceInfo(
@@ -63,14 +59,8 @@ def replay_service(settings: Settings, path: Path) -> Service:
             status.bundle,
             experiment=status.experiment,
         ),
-        Log(settings.state_dir / FOLDER, DeviceKey.open(settings.state_dir)),
-        None,
+        Releases(lambda: form, status.raw_budget),
         CalibrationService(settings, None, None),
-        form=lambda: form,
-        raw_budget=status.raw_budget,
-        queue_limit=settings.queue,
-        heartbeat=settings.heartbeat,
-        held=held,
     )
 
 

@@ -5,16 +5,12 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import TypeAlias, TypeVar
 
-import numpy as np
-import numpy.typing as npt
 import structlog
 
 from veilcam_client import __version__
@@ -27,7 +23,6 @@ from veilcam_client.wire.events import (
     CaptureTaken,
     Classified,
     Event,
-    Fault,
     RotationChanged,
     StateChanged,
 )
@@ -36,119 +31,69 @@ from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import Faults, HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_client.wire.watch import Watch, WatchPolicy
-from veilcam_optics.pictures import PictureError
-from veilcam_server.bundles.loader import Identity, LoadedBundle
+from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
-from veilcam_server.calibration.service import CalibrationService, Served
+from veilcam_server.calibration.service import Served
 from veilcam_server.camera.budget import nobody_receives, withheld
 from veilcam_server.camera.capture import Captured
-from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import DisplayError
-from veilcam_server.devices.simulated.images import as_scene, decoded, range_warning
-from veilcam_server.devices.simulated.scenes import Scenes
-from veilcam_server.errors import (
-    ProblemError,
-    ReplayingError,
-    StorageError,
-    UnsteadyLightError,
-)
+from veilcam_server.errors import ProblemError, ReplayingError, StorageError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.security.log import Log
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.responses import (
-    Scores,
-    capture_response,
-    classification_response,
-    logged,
-)
-from veilcam_server.service.rotation_policy import PolicyStore
+from veilcam_server.service.readers import Readers
+from veilcam_server.service.responses import Scores
 from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.service.served_camera import ServedCamera
+from veilcam_server.service.simulation import Simulation
+from veilcam_server.service.state import State
 from veilcam_server.system.clock import MachineClock
 from veilcam_server.system.logs import log_unhandled
-from veilcam_server.system.state_file import HeldDirectory
-from veilcam_server.watch.watcher import Watched, Watcher, WatchSetup
+from veilcam_server.watch.watcher import Watched, Watcher
 
 log = structlog.get_logger()
 _NO_SCENES = "this daemon takes no scenes and no faults: start it with --simulate --scene-api"
-AnswerT = TypeVar("AnswerT", Capture, Classification)
-MakeAnswer: TypeAlias = Callable[[str, Captured, float], AnswerT]
-"""Makes an answer of its id, the capture, and what the request waited for the device [s]."""
 
 
 class Service:
     """Everything that the API does. Lives on one event loop, between ``open`` and its end.
 
     Args:
-        camera: camera with its first mask on the panel.
-        identity: identity for the status.
-        log: log of what leaves, and of who changes it.
-        bundles: bundles, of which one is in use; None: labels and masks come from a recording.
-        calibration: calibration that measures the camera.
-        form: tells in which embeddings leave, from the next epoch on.
-        raw_budget: embeddings that may leave raw behind one mask; for the status.
-        pairing: pairing with receivers; None: a recording is replayed, and there are none.
+        camera: camera with its first mask on the panel, or a recording.
+        state: state of the daemon.
         queue_limit: greatest number of requests that wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
-        scenes: before which pictures may be held up; None: nobody may.
-        break_device: breaks and mends a simulated device; None: nobody may.
-        faults: faults that were found before; they are told once this is open.
-        policies: store of the rotation policy; None: it lasts no longer than this.
-        watch: settings of the watch; None: a recording is replayed.
-        held: state directory, which other daemons may have once this has stopped; None: there is
-            none.
     """
 
     def __init__(
-        self,
-        camera: CameraEngine,
-        identity: Identity,
-        log: Log,
-        bundles: BundleManager | None,
-        calibration: CalibrationService,
-        *,
-        form: Callable[[], Release],
-        raw_budget: int = 0,
-        pairing: Pairing | None = None,
-        queue_limit: int = 8,
-        heartbeat: float = 10.0,
-        scenes: Scenes | None = None,
-        break_device: Callable[[Faults], None] | None = None,
-        faults: Sequence[ProblemError] = (),
-        policies: PolicyStore | None = None,
-        watch: WatchSetup | None = None,
-        held: HeldDirectory | None = None,
+        self, camera: ServedCamera, state: State, *, queue_limit: int = 8, heartbeat: float = 10.0
     ) -> None:
-        self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
-        self._form, self._raw_budget, self._pairing = form, raw_budget, pairing
-        self._bundles, self._scenes, self._policies = bundles, scenes, policies
-        self._break, self._held, self._log = break_device, held, log
+        self._camera, self._identity = camera.engine, camera.identity
+        self._state, self._heartbeat = state, heartbeat
+        self._releases, self._policies = camera.releases, camera.policies
+        self._bundles, self._simulation = camera.bundles, camera.simulation
+        self._pairing: Pairing | None = None
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
-        self._alarms = Alarms(camera, publish)
+        self._alarms = Alarms(self._camera, publish)
         self._queue = DeviceQueue(queue_limit, publish)
-        self._scheduler = Scheduler(camera, self._queue, self._alarms)
+        self._scheduler = Scheduler(self._camera, self._queue, self._alarms)
         self._watcher: Watcher | None = None
-        self._clock = MachineClock() if watch is None else watch.clock
-        if watch is not None:
-            self._watcher = Watcher(
-                watch,
-                Watched(
-                    camera,
-                    on_device=self._queue.run,
-                    look=self._look,
-                    busy=lambda: self._queue.waiting > 0,
-                    publish=publish,
-                ),
-            )
+        self._clock = MachineClock() if camera.watch is None else camera.watch.clock
+        if camera.watch is not None:
+            busy = lambda: self._queue.waiting > 0  # noqa: E731
+            watched = Watched(self._camera, self._queue.run, self._look, busy, publish)
+            self._watcher = Watcher(camera.watch, watched)
             self._scheduler.add("watch", self._watcher.look_due_in, self._watcher.look)
             self._scheduler.add("quiet hours", self._watcher.rest_due_in, self._watcher.rest)
-        self.calibration = calibration
-        if bundles is not None:
-            calibration.serve(Served(camera, bundles, self._queue.run, publish))
+        self.calibration = camera.calibration
+        if self._bundles is not None:
+            self._pairing = Pairing(state.receivers, state.key.public, self._camera.renew)
+            self.calibration.serve(Served(self._camera, self._bundles, self._queue.run, publish))
         for task, take in (
             ("count of events", self.history.add),
             ("log of events", log_event),
@@ -157,10 +102,9 @@ class Service:
         ):
             self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
-        self._found: list[ProblemError] | None = list(faults)
-        log.begin(self.report)
-        self._inference_thread = ThreadPoolExecutor(1, "inference")
-        camera.listen(self._alarms.pass_on)
+        self.log.begin(self.report)
+        self._readers = Readers(self.log)
+        self._camera.listen(self._alarms.pass_on)
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
@@ -170,9 +114,7 @@ class Service:
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
-            found, self._found = self._found or (), None
-            for fault in found:
-                self.report(fault)
+            self._state.listen(self._events.publish)
             try:
                 async with self._scheduler.running():
                     yield
@@ -188,17 +130,12 @@ class Service:
             log.error("the panel could not be made opaque at the end", reason=str(error))
         finally:
             self._queue.close()
-            self._inference_thread.shutdown()
+            self._readers.close()
             self._let_go()
 
     def report(self, fault: ProblemError) -> None:
         """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
-        if self._found is not None:
-            self._found.append(fault)
-        else:
-            self._events.publish(
-                partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
-            )
+        self._state.report(fault)
 
     def healthy(self) -> bool:
         """Return whether panel and camera still answer."""
@@ -212,9 +149,8 @@ class Service:
             self._let_go()
 
     def _let_go(self) -> None:
-        self._log.close()
-        if self._held is not None:
-            self._held.close()
+        self.log.close()
+        self._state.close()
 
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
@@ -230,7 +166,7 @@ class Service:
     @property
     def release(self) -> Release:
         """In which form embeddings leave, from the next epoch on."""
-        return self._form()
+        return self._releases.form()
 
     @property
     def pairing(self) -> Pairing:
@@ -242,7 +178,7 @@ class Service:
     @property
     def log(self) -> Log:
         """Log of what leaves, and of who changes it."""
-        return self._log
+        return self._state.log
 
     @property
     def watcher(self) -> Watcher:
@@ -281,7 +217,7 @@ class Service:
             uptime_s=time.monotonic() - self._since,
             captures=self.history.events["capture"],
             release=self.release,
-            raw_budget=self._raw_budget,
+            raw_budget=self._releases.raw_budget,
             receivers=() if self._pairing is None else self._pairing.paired,
             device=self._identity.device,
             bundle=self._identity.bundle,
@@ -318,23 +254,6 @@ class Service:
             await self._queue.run(self._camera.rotate)
         return self.rotation()
 
-    async def capture(self, caller: str | None = None) -> Capture:
-        """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
-
-        Args:
-            caller: caller that it leaves to.
-
-        Raises:
-            ProblemError: this daemon releases no embeddings, or to nobody.
-        """
-        self._require_released()
-
-        def answer(name: str, captured: Captured, queued: float) -> Capture:
-            return capture_response(name, captured, captured.release(queued))
-
-        with self._admitted():
-            return await self._answered(answer, release=True, caller=caller)
-
     async def classify(
         self, *, include_embedding: bool, scores: Scores = "none", caller: str | None = None
     ) -> Classification:
@@ -350,24 +269,45 @@ class Service:
         """
         if include_embedding:
             self._require_released()
-
-        def answer(name: str, captured: Captured, queued: float) -> Classification:
-            prediction = captured.classify()
-            embedding = captured.release(queued) if include_embedding else None
-            return classification_response(name, captured, prediction, embedding, scores)
-
+        name = secrets.token_hex(ID_DIGITS // 2)
         with self._admitted():
-            told = await self._answered(answer, release=include_embedding, caller=caller)
+            # On the thread of the device: lock, mask due, frame, guard.
+            captured, queued = await self._captured(name, release=include_embedding)
+            # On the thread of readers, while the device serves the next: label, log, answer.
+            embedded = queued if include_embedding else None
+            answer = await self._readers.classification(name, captured, scores, embedded, caller)
         self._events.publish(
             partial(
                 Classified,
-                capture=told.id[:NAME_DIGITS],
-                epoch=told.epoch,
-                label=told.label,
-                replay=told.replay is not None,
+                capture=name[:NAME_DIGITS],
+                epoch=answer.epoch,
+                label=answer.label,
+                replay=answer.replay is not None,
             )
         )
-        return told
+        return answer
+
+    async def capture(self, caller: str | None = None) -> Capture:
+        """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
+
+        Args:
+            caller: caller that it leaves to.
+
+        Raises:
+            ProblemError: this daemon releases no embeddings, or to nobody.
+        """
+        self._require_released()
+        name = secrets.token_hex(ID_DIGITS // 2)
+        with self._admitted():
+            captured, queued = await self._captured(name, release=True)
+            return await self._readers.embedding(name, captured, queued, caller)
+
+    @property
+    def simulation(self) -> Simulation:
+        """Return the simulation; raises :class:`ProblemError` where callers may not set it."""
+        if self._simulation is None:
+            raise ProblemError("not_enabled", _NO_SCENES)
+        return self._simulation
 
     async def hold_scene(self, content: bytes | None) -> HeldScene:
         """Hold a picture up before a simulated camera, between two captures; None: take it away.
@@ -375,15 +315,12 @@ class Service:
         Raises:
             ProblemError: that is not allowed here, or it is no picture.
         """
-        scenes = self._scenes
-        if scenes is None:
-            raise ProblemError("not_enabled", _NO_SCENES)
-        picture, warning = None, None
+        simulation, picture, warning = self.simulation, None, None
         if content is not None:
-            picture, warning = await asyncio.to_thread(_picture, content, scenes)
+            picture, warning = await asyncio.to_thread(simulation.picture, content)
         with self._admitted():
             # In line with captures and self tests, so that none of them sees two scenes.
-            number = await self._queue.run(lambda: scenes.hold(picture))
+            number = await self._queue.run(partial(simulation.scenes.hold, picture))
         return HeldScene(scene=number, warning=warning)
 
     def set_faults(self, faults: Faults) -> Faults:
@@ -392,9 +329,7 @@ class Service:
         Raises:
             ProblemError: that is not allowed here.
         """
-        if self._break is None:
-            raise ProblemError("not_enabled", _NO_SCENES)
-        self._break(faults)
+        self.simulation.break_device(faults)
         return faults
 
     async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
@@ -405,7 +340,7 @@ class Service:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
         with self._admitted():
             first = await asyncio.to_thread(self._camera.first_of, keys.source)
-            await self._queue.run(lambda: self._camera.change_source(keys.source, first))
+            await self._queue.run(partial(self._camera.change_source, keys.source, first))
         older = keys.info.version < self._identity.bundle.version
         self._identity = replace(self._identity, bundle=keys.info)
         self._events.publish(
@@ -429,35 +364,12 @@ class Service:
         with self._queue.admitted():
             yield
 
-    async def _answered(
-        self, make: MakeAnswer[AnswerT], *, release: bool, caller: str | None
-    ) -> AnswerT:
-        """Take one measurement, and answer while the device serves the next one.
-
-        Args:
-            make: the answer.
-            release: True: the embedding leaves.
-            caller: caller that it leaves to.
-        """
-        begun, name = time.monotonic(), secrets.token_hex(ID_DIGITS // 2)
-
-        def work() -> tuple[Captured, Future[AnswerT]]:
-            queued = time.monotonic() - begun
-            captured = self._camera.capture(release=release)
-            try:
-                # From here and not from the event loop, which would only hand it on.
-                future = self._inference_thread.submit(
-                    lambda: self._logged(make(name, captured, queued), captured, caller)
-                )
-            except BaseException:
-                captured.done()
-                raise
-            # Also of one that is called off before its turn, as nobody waits for it any more.
-            future.add_done_callback(lambda _: captured.done())
-            return captured, future
-
+    async def _captured(self, name: str, *, release: bool) -> tuple[Captured, float]:
+        """Take one capture in turn; return it with the time that it waited for the device [s]."""
         try:
-            captured, answer = await self._queue.run(work)
+            captured, queued = await self._queue.capture(
+                partial(self._camera.capture, release=release)
+            )
         except UnsteadyLightError:
             # Its mask may be due: that is seen to before anybody asks again.
             self._scheduler.wake()
@@ -470,29 +382,12 @@ class Service:
                 replay=captured.replay is not None,
             )
         )
-        return await asyncio.wrap_future(answer)
+        return captured, queued
 
     async def _look(self) -> Evidence:
         """Take one capture of which nothing leaves; raises as :meth:`CameraEngine.capture`."""
-
-        def work() -> Future[Evidence]:
-            captured = self._camera.capture(release=False)
-            try:
-                future = self._inference_thread.submit(captured.evidence)
-            except BaseException:
-                captured.done()
-                raise
-            future.add_done_callback(lambda _: captured.done())
-            return future
-
-        return await asyncio.wrap_future(await self._queue.run(work))
-
-    def _logged(self, answer: AnswerT, captured: Captured, caller: str | None) -> AnswerT:
-        """Return an answer once it is in the log; what is replayed is not logged."""
-        if captured.provenance is not None:
-            facts = logged(answer, captured.provenance, caller)
-            self._log.append("capture", facts, at=answer.taken_at)
-        return answer
+        captured, _ = await self._queue.capture(partial(self._camera.capture, release=False))
+        return await self._readers.evidence(captured)
 
     def _require_released(self) -> None:
         form = self.release
@@ -500,14 +395,3 @@ class Service:
             raise withheld()
         if form == "sealed" and self._pairing is not None and not self._pairing.paired:
             raise nobody_receives()
-
-
-def _picture(content: bytes, scenes: Scenes) -> tuple[npt.NDArray[np.float32], str | None]:
-    """Return a picture of the scene's size, and what to say of it."""
-    try:
-        picture = decoded(content)
-        scene, warning = as_scene(picture, scenes.shape), range_warning(picture)
-    except PictureError as error:
-        raise ProblemError("invalid_request", f"this {error}") from None
-    fitted = scene if scene.ndim == 2 else np.moveaxis(scene, 0, 2)
-    return fitted, None if warning is None else f"this {warning}"

@@ -20,7 +20,7 @@ from veilcam_server.errors import StartError
 
 _FILE = re.compile(
     r"[a-z-]+\.json(\.copy)?|[a-z-]+\.json\.lock|\d+\.jsonl"
-    r"|[0-9a-f]{64}\.veilcam|idempotency-[01]|scene\.npy"
+    r"|[0-9a-f]{64}\.veilcam|scene\.npy"
 )
 """Names of state files, each of which has to be a regular file."""
 _FOLDERS = ("bundles", "log")

@@ -36,6 +36,7 @@ from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import Preparation
+from veilcam_server.camera.self_test import Checks
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
 from veilcam_server.devices.base import Light
@@ -47,9 +48,9 @@ from veilcam_server.masks.source import MaskSource, Terms
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.log import FOLDER, Log
-from veilcam_server.service.pairing import Pairing
+from veilcam_server.service.served_camera import Releases, ServedCamera
 from veilcam_server.service.service import Service
+from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
 from veilcam_server.watch.policy import WatchStore
@@ -291,11 +292,9 @@ class Bench:
             self.preparation(),
             self.bundle.embedding.shape,
             self.test,
-            budget=self.budget,
             fence=Fence(settle=settle),
             policy=policy,
-            test_every=test_every,
-            guard_every=guard_every,
+            checks=Checks(test_every, guard_every),
         )
         camera.listen(self.note)
         return camera
@@ -325,7 +324,10 @@ class Bench:
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
         bundles = self.bundles()
         settings = Settings(bundle=self.state_dir / "configured.veilcam", state_dir=self.state_dir)
-        service = Service(
+        state = State(self.state_dir)
+        # The daemon's key and receivers are those of the bench.
+        state.key, state.receivers = self.key, self.receivers
+        served = ServedCamera(
             camera,
             Identity(
                 DeviceInfo(
@@ -333,16 +335,12 @@ class Bench:
                 ),
                 bundles.info,
             ),
-            Log(self.state_dir / FOLDER, self.key),
-            bundles,
+            Releases(lambda: self.release, self.raw_budget),
             self.calibration or CalibrationService(settings, None, None),
-            form=lambda: self.release,
-            raw_budget=self.raw_budget,
-            pairing=Pairing(self.receivers, self.key.public, camera.renew),
-            queue_limit=queue_limit,
-            heartbeat=0.05,
+            bundles,
             watch=WatchSetup(self.watch, WatchStore(self.state_dir, self.watch)),
         )
+        service = Service(served, state, queue_limit=queue_limit, heartbeat=0.05)
         publish = camera._panel.publish
 
         def note(make: Callable[..., Event]) -> None:

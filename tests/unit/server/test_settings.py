@@ -15,7 +15,8 @@ from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff,
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.demo_data import BUNDLE
-from veilcam_server.settings import Settings, default_state_dir, unknown_names
+from veilcam_server.environment import default_state_dir, unknown_names
+from veilcam_server.settings import Settings
 
 runner = CliRunner()
 
@@ -234,7 +235,7 @@ def test_no_name_that_is_used_anywhere_is_refused(monkeypatch: pytest.MonkeyPatc
     assert {"VEILCAM_TOKEN", "VEILCAM_URL", "VEILCAM_PANEL_TAB", "VEILCAM_TEST_THREADS"} <= named
     for name in (*named, "veilcam_port"):
         monkeypatch.setenv(name, "a value")
-    assert unknown_names() == {}
+    assert unknown_names(Settings.model_fields) == {}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
 from veilcam_server.api.scopes import requires
-from veilcam_server.doctor.checkup import Finding
+from veilcam_server.doctor.finding import Finding
 
 Examine: TypeAlias = Callable[[], Iterable[Finding]]
 """What the doctor finds on the machine of a running daemon."""

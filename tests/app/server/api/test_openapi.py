@@ -135,7 +135,7 @@ def test_headers_of_answers_are_documented(found: dict[str, Any]) -> None:
         for name, operation in operations(found)
         for status, answer in operation["responses"].items()
     }
-    always = {"X-Request-Id", "Veilcam-Call", "Cache-Control"}
+    always = {"X-Request-Id", "Veilcam-Call", "Veilcam-Run", "Cache-Control"}
     assert all(always <= each for each in headers.values())
     assert headers["GET /v1/status", "200"] == headers["GET /v1/status", "304"] == always | {"ETag"}
     assert headers["GET /v1/status", "401"] == always | {"WWW-Authenticate"}

@@ -34,7 +34,8 @@ from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import StartError
-from veilcam_server.settings import Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import Wiring
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -21,9 +21,11 @@ from veilcam_server.devices.driver import DisplayDriver
 from veilcam_server.devices.extras import import_extra
 from veilcam_server.devices.registry import DISPLAYS
 from veilcam_server.doctor import machine as machines
-from veilcam_server.doctor.checkup import Finding, examine, examine_beside
+from veilcam_server.doctor.checkup import examine, examine_beside
+from veilcam_server.doctor.finding import Finding
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.settings import DoctorSettings, Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import DoctorSettings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()

@@ -123,7 +123,7 @@ def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
             ssl_context_factory=None if tls is None else lambda *_: tls,
             timeout_keep_alive=10_000,
         )
-        connections = Connections(limit, waiting, headers, body)
+        connections = Connections(limit, waiting, headers, body, run="the-run")
         server = GateServer(config, connections)
         with listening() as listener:
             listener.bind(("127.0.0.1", 0))

@@ -233,6 +233,7 @@ async def test_call_with_a_broken_body_is_named_in_the_answer(serving: Serving) 
         answer = await heard(second)
         assert answer.startswith(b"HTTP/1.1 400")
         assert b"veilcam-call" not in answer.lower()
+        assert b"Veilcam-Run: the-run\r\n" in answer
 
 
 async def test_body_that_breaks_after_its_answer_ends_the_connection_without_a_line(

@@ -30,7 +30,7 @@ from veilcam_client.errors import (
 )
 from veilcam_client.http.options import RetryPolicy
 from veilcam_client.models import EverySeconds, RotationOff, Watching
-from veilcam_client.wire.base import CALL_HEADER, Nothing
+from veilcam_client.wire.base import CALL_HEADER, RUN_HEADER, UNKNOWN_RUN, Nothing
 
 pytestmark = pytest.mark.anyio
 
@@ -182,6 +182,98 @@ async def test_retryable_call_is_repeated_with_the_same_key(both: Both) -> None:
     assert 0 <= both.waits[1] <= 0.5
     await both(lambda camera: camera.capture())
     assert both.daemon.requests[-1].headers["idempotency-key"] not in keys
+
+
+class Restarting(Daemon):
+    """Daemon that names its run, and refuses the keys of another one.
+
+    An error among ``first`` is the end of a run: the next request meets the next run.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.run = 1
+
+    def __call__(self, request: httpx.Request) -> httpx.Response:
+        if request.headers.get(RUN_HEADER) not in (None, str(self.run)):
+            self.first.insert(0, problem(409, "answer_lost"))
+        try:
+            answer = super().__call__(request)
+        except httpx.RequestError:
+            self.run += 1
+            raise
+        answer.headers[RUN_HEADER] = str(self.run)
+        return answer
+
+    @property
+    def runs(self) -> list[str | None]:
+        return [request.headers.get(RUN_HEADER) for request in self.requests]
+
+
+@pytest.fixture
+def restarting() -> Restarting:
+    return Restarting()
+
+
+@pytest.fixture
+def camera(restarting: Restarting, both: Both) -> Any:
+    return camera_of(both.kind, restarting, url="http://camera.local:1")
+
+
+async def test_run_that_answered_last_goes_with_each_key(
+    camera: Any, restarting: Restarting
+) -> None:
+    for ask in (camera.capture, camera.status, camera.capture, camera.rotation.get):
+        await result(ask())
+    assert restarting.runs == [None, None, "1", None]
+
+
+async def test_call_after_a_restart_is_asked_again_with_the_new_run(
+    camera: Any, restarting: Restarting
+) -> None:
+    await result(camera.status())
+    restarting.run = 2
+    assert (await result(camera.capture())).id == "c1"
+    assert restarting.runs == [None, "1", "2"]
+    restarting.first = [problem(409, "answer_lost") for _ in "12"]
+    with pytest.raises(ApiError):
+        await result(camera.capture())
+    assert restarting.runs[3:] == ["2", "2"]
+
+
+@pytest.mark.parametrize("error", [httpx.ReadError, httpx.ReadTimeout, httpx.RemoteProtocolError])
+@pytest.mark.parametrize("seen", [True, False])
+async def test_call_that_may_be_done_is_not_done_again_after_a_restart(
+    camera: Any, restarting: Restarting, error: type[httpx.RequestError], seen: bool
+) -> None:
+    if seen:
+        await result(camera.status())
+    restarting.requests.clear()
+    restarting.first = [error("broken")]
+    with pytest.raises(ApiError) as caught:
+        await result(camera.capture())
+    assert caught.value.code == "answer_lost"
+    assert restarting.runs == (["1", "1"] if seen else [None, UNKNOWN_RUN])
+
+
+async def test_call_that_was_not_done_is_asked_of_the_next_run(
+    camera: Any, restarting: Restarting
+) -> None:
+    await result(camera.status())
+    restarting.first = [httpx.ConnectError("refused")]
+    assert (await result(camera.capture())).id == "c1"
+    assert restarting.runs == [None, "1", "1", "2"]
+    restarting.first = [problem(503, "not_ready", retryable=True), httpx.ConnectTimeout("slow")]
+    assert (await result(camera.capture())).id == "c1"
+    assert restarting.runs[4:] == ["2", "2", "2", "3"]
+
+
+async def test_run_that_is_no_text_is_not_sent(both: Both) -> None:
+    camera = camera_of(both.kind, both.daemon, url="http://camera.local:1")
+    both.daemon.first = [httpx.Response(200, json=STATUS, headers=[(b"Veilcam-Run", b"\xe4")])]
+    await result(camera.status())
+    await result(camera.capture())
+    assert RUN_HEADER not in both.daemon.requests[-1].headers
 
 
 async def test_call_is_named_anew_for_every_attempt(both: Both) -> None:

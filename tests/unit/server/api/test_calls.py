@@ -1,4 +1,4 @@
-"""Names of requests, which every answer repeats."""
+"""Names in every answer: of its request, and of the run of the daemon."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from veilcam_client.wire.base import CALL_HEADER
+from veilcam_client.wire.base import CALL_HEADER, RUN_HEADER
 from veilcam_server.api.app import MAX_BODY
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.tokens import TokenStore
@@ -37,19 +37,21 @@ JSON = {"Content-Type": "application/json"}
         ("POST", "/v1/captures", {}, 200),
     ],
 )
-async def test_call_is_named_in_every_answer(
+async def test_call_and_run_are_named_in_every_answer(
     running: Running, method: str, path: str, more: dict[str, Any], status: int
 ) -> None:
-    headers = {**more.pop("headers", {}), CALL_HEADER: NAME}
-    async with running() as client:
+    headers, admission = {**more.pop("headers", {}), CALL_HEADER: NAME}, Admission()
+    async with running(admission=admission) as client:
         answer = await client.request(method, path, headers=headers, **more)
     assert (answer.status_code, answer.headers[CALL_HEADER]) == (status, NAME)
+    assert answer.headers[RUN_HEADER] == admission.keys.run
 
 
 async def test_call_without_a_token_is_named_too(running: Running, store: TokenStore) -> None:
     async with running(admission=Admission(store)) as client:
         answer = await client.get("/v1/status", headers={CALL_HEADER: NAME})
     assert (answer.status_code, answer.headers[CALL_HEADER]) == (401, NAME)
+    assert len(answer.headers[RUN_HEADER]) == 32
 
 
 @pytest.mark.parametrize("given", [None, "", NAME[:-1], NAME + "0", NAME[:-1] + "g", f"{NAME}, "])

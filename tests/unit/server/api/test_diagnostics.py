@@ -22,7 +22,7 @@ from veilcam_client.wire.status import Diagnostics
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.diagnostics import CHECKUP_EVERY, Checkups
 from veilcam_server.devices import DisplayError, SensorError
-from veilcam_server.doctor.checkup import Finding
+from veilcam_server.doctor.finding import Finding
 from veilcam_server.gate.protocol import Connections, GateProtocol
 from veilcam_server.security.admission import open_admission
 from veilcam_server.settings import Settings

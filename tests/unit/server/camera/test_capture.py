@@ -159,7 +159,6 @@ class Rig:
             ),
             EMBEDDING.shape,
             Passed(),
-            budget=budget,
             fence=Fence(settle=self.granted, timeout=20.0),
             policy=self.policy,
         )

@@ -634,7 +634,7 @@ def test_while_any_mask_may_release_something_those_that_are_spent_wait(bench: B
     with closing(bench.preparation()) as preparation:
         spent = [mask for mask in bench.source._masks if not preparation.spent][:2]  # type: ignore[attr-defined]
         for mask in spent:
-            preparation._budget.spend(mask, "raw")
+            preparation.budget.spend(mask, "raw")
         assert {preparation.take().mask.mark for _ in range(20)} == bench.source.marks - {
             mask.mark for mask in spent
         }
@@ -642,7 +642,7 @@ def test_while_any_mask_may_release_something_those_that_are_spent_wait(bench: B
         (last,) = bench.source.marks - {mask.mark for mask in spent}
         preparation.last_mark = last  # it is shown: another one comes all the same
         assert {preparation.take().mask.mark for _ in range(20)} == {mask.mark for mask in spent}
-        preparation._budget.spend(Mask(np.ones(1, np.uint8), None, last), "raw")  # type: ignore[arg-type]
+        preparation.budget.spend(Mask(np.ones(1, np.uint8), None, last), "raw")  # type: ignore[arg-type]
         assert preparation.spent
 
 

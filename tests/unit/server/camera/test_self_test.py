@@ -400,7 +400,6 @@ def test_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
         Preparation(Bundled(), DeviceKey.open(tmp_path), lambda: Terms("none"), budget),
         EMBEDDING.shape,
         OpticalSelfTest(CAMERA, SCENE, EMBEDDING),
-        budget=budget,
         fence=Fence(settle=0.02),
     )
     camera.rotate()

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.cli.main import app
-from veilcam_server.settings import DoctorSettings, Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import DoctorSettings, Wiring
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

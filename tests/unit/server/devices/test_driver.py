@@ -14,7 +14,8 @@ from veilcam_server.devices import DeviceMissingError, DisplayError, SensorError
 from veilcam_server.devices.registry import DISPLAYS, SENSORS, drivers, open_device
 from veilcam_server.doctor.checkup import examine
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.settings import DoctorSettings, Settings, Wiring
+from veilcam_server.settings import Settings
+from veilcam_server.wiring import DoctorSettings, Wiring
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle

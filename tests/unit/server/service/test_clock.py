@@ -32,7 +32,7 @@ class WallClock(datetime):
 @pytest.fixture
 def wall(monkeypatch: pytest.MonkeyPatch) -> type[WallClock]:
     monkeypatch.setattr(WallClock, "offset", timedelta())
-    for module in ("service.events", "service.service", "camera.camera", "security.log"):
+    for module in ("service.events", "service.service", "camera.shutter", "security.log"):
         monkeypatch.setattr(f"veilcam_server.{module}.datetime", WallClock)
     return WallClock
 
