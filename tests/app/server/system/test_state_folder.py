@@ -21,7 +21,7 @@ from veilcam_server.system.state_folder import become_owner, require_usable
 
 FILES = (
     *("device-key.json", "tokens.json", "tokens.json.copy", "tokens.json.lock", "rotation.json"),
-    *("scene.npy"),
+    "scene.npy",
     *(f"bundles/{'0f' * 32}.veilcam", "bundles/in-use.json", f"log/{0:020d}.jsonl"),
 )
 NOBODY = pwd.getpwnam("nobody")
