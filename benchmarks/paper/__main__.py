@@ -44,7 +44,7 @@ def command(
     data: Annotated[Path, typer.Option(help="Folder that holds the data set's files.")],
     work: Annotated[Path, typer.Option(help="Folder of the cells: what is finished is kept.")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for report.html, report.md and pictures.")
+        Path | None, typer.Option(help="Folder for report.html and its pictures.")
     ] = None,
     encoders: Names = None,
     classifiers: Annotated[
@@ -143,7 +143,7 @@ def _report(table: Table, work: Path, out: Path | None, figures: Path | None) ->
         record_cells(figures, results)
     if out is not None:
         write_report(out, table, results, work)
-        print(f"wrote {out / 'report.html'} and report.md: {len(results)} cells")
+        print(f"wrote {out / 'report.html'}: {len(results)} cells")
 
 
 def parse_duration(text: str) -> float:

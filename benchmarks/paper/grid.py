@@ -45,6 +45,7 @@ HEADLINES: Mapping[str, str] = {
     "faces-gender_open_24x32@0.1": "faces_gender_fill",
     "faces-glasses_open_24x32@0.1": "faces_glasses_fill",
     "fashion_learned_24x32": "fashion_24x32",
+    "mnist_learned_24x32_shift": "mnist_shift",
     "mnist_fresh_24x32": "fresh_mnist_24x32",
     "mnist_fresh_12x16": "fresh_mnist_12x16",
     "mnist_fresh_3x4": "fresh_mnist_3x4",
@@ -108,7 +109,8 @@ class Place:
         row, (data, change, embedding) = self.row, self.column
         if reads_scenes(row.classifier):
             name = f"{data}_{SCENE_CAMERAS.get(row.encoder, row.encoder)}_{embedding}"
-            return HEADLINES.get(name, name) if change == "none" else f"{name}_{change}"
+            name += "" if change == "none" else f"_{change}"
+            return HEADLINES.get(name, name)
         classifier = row.classifier.lower() if data == "fashion" else row.classifier
         name = f"{data}_{classifier}_{row.encoder}_{embedding}"
         if change != "none":

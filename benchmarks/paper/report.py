@@ -1,21 +1,21 @@
-"""``report.html`` and ``report.md``: a table beside the paper's, with its pictures."""
+"""``report.html``: a table beside the paper's, with its pictures."""
 
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from benchmarks.paper.grid import Table, load_paper
 from benchmarks.paper.plots import draw_charts
-from benchmarks.paper.results import SEEDS_FOR_A_VERDICT, CellResult, Summary
+from benchmarks.paper.results import HIDING, SEEDS_FOR_A_VERDICT, CellResult, Summary
 from benchmarks.paper.style import encoder_title
 
 PICTURE_FOLDER = "pictures"
 
 
 def write_report(out: Path, table: Table, results: Sequence[CellResult], work: Path) -> None:
-    """Write the report of ``table``; the HTML file holds its pictures, the other stands by them.
+    """Write the report of ``table``, which holds its pictures; they stand beside it, too.
 
     Args:
         out: folder, made if it is not there.
@@ -29,7 +29,7 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
     charts = draw_charts(folder, summary, work) if results else []
     environment = Environment(
         loader=PackageLoader("benchmarks.paper"),
-        autoescape=select_autoescape(("html.jinja",)),
+        autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -47,17 +47,15 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
         "commits": dict.fromkeys(result.origin.commit for result in results),
         "machines": dict.fromkeys(result.origin.machine for result in results),
         "seeds": SEEDS_FOR_A_VERDICT,
-        "folder": PICTURE_FOLDER,
     }
-    inlined = [(_inline(folder / name), caption) for name, caption in charts]
-    for template, pictures in (("report.html", inlined), ("report.md", charts)):
-        text = environment.get_template(f"{template}.jinja").render(context, pictures=pictures)
-        (out / template).write_text(text)
+    pictures = [(_inline(folder / name), caption) for name, caption in charts]
+    text = environment.get_template("report.html.jinja").render(context, pictures=pictures)
+    (out / "report.html").write_text(text)
 
 
 def _shares(hiding: Mapping[str, float]) -> str:
     """Return percents of a mask, each with that of random masks in brackets."""
-    names = [name for name in ("seen", "recognised", "read") if name in hiding]
+    names = [name for name in HIDING if name in hiding]
     return ", ".join(f"{100 * hiding[n]:.0f} ({100 * hiding[f'random_{n}']:.0f})" for n in names)
 
 

@@ -26,10 +26,31 @@ BUNDLE = "pair.veilcam"
 CHECKPOINTS = "checkpoints"
 SEEDS_FOR_A_VERDICT = 3
 _LEVEL = 0.95
+HIDING = ("seen", "recognised", "read")
+"""What attackers without the key do, by the names of :class:`.Hiding`."""
 _ROUNDING = 0.05
 """The paper's percents have one digit after the point."""
 
 Verdict: TypeAlias = Literal["win", "loss", "tie"]
+
+
+def verdict_of(
+    test: float, interval: float | None, seeds: int, paper: float | None
+) -> Verdict | None:
+    """Return whether the paper's number is outside of an interval, by more than its rounding.
+
+    Args:
+        test: mean test accuracy [percent].
+        interval: half of the interval of the mean [percent].
+        seeds: number of seeds. Fewer than three give None: runs that differ in their seed alone
+            differ by as much as many cells do from the paper's.
+        paper: the paper's number [percent].
+    """
+    if paper is None or interval is None or seeds < SEEDS_FOR_A_VERDICT:
+        return None
+    if abs(test - paper) <= interval + _ROUNDING:
+        return "tie"
+    return "win" if test > paper else "loss"
 
 
 class EpochRecord(BaseModel, frozen=True, extra="forbid"):
@@ -205,19 +226,10 @@ class Entry:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Whether the paper's number is outside of the interval, by more than its rounding.
-
-        None with fewer than three seeds: runs that differ in their seed alone differ by as much as
-        many cells do from the paper's.
-        """
-        if len(self.results) < SEEDS_FOR_A_VERDICT:
+        """Of the mean beside the paper's number, see :func:`verdict_of`."""
+        if self.test is None:
             return None
-        if self.test is None or self.paper is None or self.interval is None:
-            return None
-        margin = self.interval + _ROUNDING
-        if abs(self.test - self.paper) <= margin:
-            return "tie"
-        return "win" if self.test > self.paper else "loss"
+        return verdict_of(self.test, self.interval, len(self.results), self.paper)
 
 
 class Summary:
@@ -267,8 +279,10 @@ class Summary:
 def record_cells(path: Path, results: Sequence[CellResult]) -> None:
     """Write test accuracies [percent] into the record at ``path``.
 
-    Several seeds of one cell give their mean. Each figure has the command, commit, date and machine
-    of the cell; of several, every command and commit, and the last one's date and machine.
+    Several seeds of one cell give their mean, beside it half of its interval and their number; and
+    each cell has the shares that attackers without the key get right [percent]. Each figure has the
+    command, commit, date and machine of the cell; of several, every command and commit, and the
+    last one's date and machine.
     ``robust_<change>`` is that of the classifier which validates best behind a learned mask.
 
     Raises:
@@ -286,8 +300,16 @@ def record_cells(path: Path, results: Sequence[CellResult]) -> None:
         if learned:
             by_name[f"robust_{change}"] = max(learned, key=_validation_accuracy)
     for name, group in by_name.items():
-        percent = 100 * mean(result.test_accuracy for result in group)
-        record_figures(path, {name: round(percent, 2)}, origin=_origin(group))
+        entry = Entry(group[0].cell.place, tuple(group))
+        values: dict[str, float | None] = {name: entry.test, f"{name}_interval": entry.interval}
+        if entry.interval is not None:
+            values[f"{name}_seeds"] = len(group)
+        for each in HIDING:
+            hidings = [result.hiding for result in group if result.hiding is not None]
+            shares = [shares[each] for shares in hidings if each in shares]
+            values[f"{name}_{each}"] = 100 * mean(shares) if shares else None
+        found = {key: round(value, 2) for key, value in values.items() if value is not None}
+        record_figures(path, found, origin=_origin(group))
 
 
 def _origin(group: Sequence[CellResult]) -> Origin:

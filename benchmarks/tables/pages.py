@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, SERVED, fills
@@ -12,6 +13,7 @@ from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import FRESH, HIDING, REFUSED, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
+from benchmarks.tables.paper import paper_table, scores
 from benchmarks.tables.table import Figures, table
 from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, GUARD, KEYS, MORE_KEYS, SIEGE, cards
 from benchmarks.tables.watch import BELIEF
@@ -34,6 +36,13 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [SERVED, CALIBRATED],
+    "docs/tables/README.md": [
+        scores,
+        *(
+            partial(paper_table, name)
+            for name in ("mnist", "fashion", "robust", "faces", "cifar10")
+        ),
+    ],
     "docs/watch.md": [BELIEF],
 }
 """The tables of each page, from top to bottom."""

@@ -21,8 +21,10 @@ from benchmarks.paper.results import (
     Finished,
     Summary,
     load_results,
+    record_cells,
     save_finished,
 )
+from benchmarks.tables.paper import score
 from typer.testing import CliRunner, Result
 
 from veilcam_optics.simulation.check import Check
@@ -78,7 +80,7 @@ def test_quick_table_is_run_once_and_reported(
         [by_name[f"mnist_LR_digital_3x4{seed}"].test_accuracy for seed in ("", "_seed1")]
     )
     assert record["mnist_LR_digital_3x4"]["value"] == pytest.approx(100 * mean, abs=0.005)
-    assert "mnist_LR_learned_3x4" in (out / "report.md").read_text()
+    assert "mnist_LR_learned_3x4" in (out / "report.html").read_text()
 
     # Nothing is run again, and the figures say still what made them.
     def refuse(*arguments: Any, **more: Any) -> None:
@@ -180,3 +182,22 @@ def test_scene_cell_stands_beside_the_papers_best(
     place = Cell(load_settings(None, settings, colour=True)).place
     assert place.figure == f"cifar10_{figure}"
     assert place.paper == paper
+
+
+def test_score_counts_each_cell_of_the_paper_once(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    settings = {"hidden": False, "embedding": "24x32", "classifier": "FC800"}
+    won = [finish(tmp_path, 0.99 + seed / 1e5, **settings, seed=seed) for seed in range(3)]
+    once = [finish(tmp_path, 0.99, **settings, change="shift")]
+    # Beside the paper's classifier a scene classifier of the same mask is not counted.
+    scene = [finish(tmp_path, 0.5, **settings | {"classifier": "Scene16"})]
+    assert score({}).verdicts.total() == 0
+    assert len(score({}).missing) == 96
+    record_cells(figures, [*won, *once, *scene])
+    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    found = score(record)
+    assert found.verdicts == {"win": 1, None: 1}
+    assert set(score({}).missing) - set(found.missing) == {
+        "mnist_FC800_learned_24x32",
+        "mnist_FC800_learned_24x32_shift",
+    }
