@@ -113,8 +113,8 @@ class Settings(CallerLimits, Wiring):
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""
     release: Release | None = None
-    """How embeddings leave: none, sealed, white or raw. Default: sealed as soon as a receiver is
-    paired; before that white for gray fresh masks, and else none."""
+    """How embeddings leave: none, sealed or raw. Default: sealed as soon as a receiver is paired,
+    and before that none."""
     raw_budget: int = Field(default=0, ge=0, le=1_000_000_000)
     """Embeddings that may leave raw behind one mask, over its whole life; --release raw needs 1 or
     more."""
@@ -178,6 +178,16 @@ class Settings(CallerLimits, Wiring):
                     f"{masked(origin)!r} is no origin: use https://home.example, or with :PORT"
                 )
         return origins
+
+    @field_validator("release", mode="before")
+    @classmethod
+    def _a_form(cls, given: object) -> object:
+        if given == "white":
+            raise ValueError(
+                "the form 'white' is gone, as nobody could read it: use sealed, and pair a "
+                "receiver with 'veilcam receiver add', or use none"
+            )
+        return given
 
     @field_validator("watch")
     @classmethod

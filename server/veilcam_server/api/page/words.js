@@ -91,7 +91,6 @@ export const SCOPES = {
 export const RELEASES = {
   none: "Embeddings stay in the camera: labels alone leave.",
   sealed: "Embeddings leave sealed: only the receivers below can open them.",
-  white: "Embeddings leave decorrelated and turned in secret, one behind each mask.",
   raw: "Embeddings leave as they were read. Who knows the mask can compute a picture from them.",
 };
 
