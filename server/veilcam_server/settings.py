@@ -53,6 +53,7 @@ _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("callers", "heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
+        "full_scores",
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -109,6 +110,8 @@ class Settings(CallerLimits, Wiring):
     quiet_hours: str | None = None
     """From when to when it never looks, by the clock on the wall, as in 22-7 or 22:30-7: the panel
     is opaque then."""
+    watch_threshold: float = Field(default=0.6, ge=0.5, le=0.95)
+    """Probability from which the watch says that a thing is there."""
     calibration: Path | None = None
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""
@@ -118,6 +121,8 @@ class Settings(CallerLimits, Wiring):
     raw_budget: int = Field(default=0, ge=0, le=1_000_000_000)
     """Embeddings that may leave raw behind one mask, over its whole life; --release raw needs 1 or
     more."""
+    full_scores: bool = False
+    """Tell scores in full to tokens with read:scores, and not in tenths: they name the scene."""
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
     """Seconds for the panel to settle, never less than was measured."""
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)

@@ -233,10 +233,10 @@ class Classification(ArrayAnswer):
     label: str
     """Most probable label."""
     confidence: float | None = None
-    """Probability of ``label``, in [0, 1]; None without a scope for scores."""
+    """Probability of ``label``, in [0, 1]; as of :attr:`scores`."""
     scores: Mapping[str, float] | None = None
-    """Probability of every label, in [0, 1]; None without a scope for scores. With the
-    scope ``read:scores:rounded`` in tenths; with ``read:scores`` they sum to 1."""
+    """Probability of every label, in [0, 1]; None without the scope ``read:scores``. In tenths, or
+    in full where the daemon was started with ``--full-scores``."""
     embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
     replay: Replay | None = None

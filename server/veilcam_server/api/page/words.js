@@ -74,8 +74,7 @@ export const THREATS = {
 export const SCOPES = {
   "read:status": "state, events, health",
   classify: "labels",
-  "read:scores:rounded": "confidence, in tenths",
-  "read:scores": "confidence, in full",
+  "read:scores": "confidence, in tenths",
   "read:embedding": "embeddings, as they leave",
   "read:embedding:raw": "embeddings that leave raw",
   "read:log": "the log: what left, and who changed what",

@@ -151,20 +151,25 @@ async def test_scopes_and_the_log(
 
 
 @pytest.mark.parametrize(
-    ("scopes", "told"),
+    ("scopes", "full", "told"),
     [
-        (("classify",), "nothing"),
-        (("classify", "read:scores:rounded"), "tenths"),
-        (("classify", "read:scores"), "all"),
-        (("classify", "read:scores:rounded", "read:scores"), "all"),
+        (("classify",), True, "nothing"),
+        (("classify", "read:scores"), False, "tenths"),
+        (("classify", "read:scores"), True, "all"),
     ],
 )
-async def test_scores_are_told_by_scope(
-    running: Running, bench: Bench, store: TokenStore, scopes: tuple[Scope, ...], told: str
+async def test_scores_are_told_by_scope_and_setting(
+    running: Running,
+    bench: Bench,
+    store: TokenStore,
+    *,
+    scopes: tuple[Scope, ...],
+    full: bool,
+    told: str,
 ) -> None:
     bench.sensor.measurement = 0.1 * np.random.default_rng(0).random((4, 5), np.float32)
     headers = bearer(store, *scopes)
-    async with running(admission=Admission(store)) as client:
+    async with running(admission=Admission(store, full_scores=full)) as client:
         found: dict[str, Any] = (await client.post("/v1/classifications", headers=headers)).json()
     assert found["label"] in bench.bundle.labels
     if told == "nothing":
