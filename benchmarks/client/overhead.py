@@ -50,7 +50,7 @@ _CAPTURE = Capture(
     epoch="9f" * 16,
     number=3,
     taken_at=_TIME,
-    embedding=Embedding.from_array(_VALUES, form="raw"),
+    embedding=Embedding.from_array(_VALUES),
 )
 _CLASSIFICATION = Classification(
     id="c0ffee00" * 6,

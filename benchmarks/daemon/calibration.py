@@ -242,9 +242,9 @@ class Bench:
         chosen = iter(random.choice(len(digits), masks * PER_MASK, replace=False))
         for _ in range(masks):
             key = EpochKey(random.bytes(KEY_BYTES), device="0" * 64, bundle=drawn.bundle)
-            mask = drawn.make(key, "none", frozenset())
+            mask = drawn.make(key, frozenset())
             assert isinstance(mask.reader, FreshReader)
-            other = built.make(key, "none", frozenset()).reader if built is not None else None
+            other = built.make(key, frozenset()).reader if built is not None else None
             shown = self.device.display.show(mask.levels).completed_at
             for index in [next(chosen) for _ in range(PER_MASK)]:
                 image = digits.images[index] / np.float32(255)

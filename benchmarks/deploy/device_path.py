@@ -4,7 +4,7 @@
     python -m benchmarks.deploy.device_path pairs --with-torch
 
 Imports, a bundle of the demonstration, five epochs, and behind each a frame that was recorded: it
-is binned, classified and, of fresh masks, whitened. As on a device, neither torch nor SciPy,
+is binned and classified. As on a device, neither torch nor SciPy,
 matplotlib or Pillow can be imported; with ``--with-torch`` the same is done by torch, to compare.
 One line of JSON says what came of it.
 """
@@ -44,8 +44,6 @@ class Taken:
     """CPU time until the first mask is there."""
     labels: Labels
     """What was seen behind each mask."""
-    white: float
-    """Mean length of what left white; 0 where nothing could."""
 
 
 class NotInstalled:
@@ -71,43 +69,40 @@ def recorded(shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     return measurement
 
 
-def in_numpy(bundle: Bundle, keys: list[EpochKey]) -> tuple[Labels, float, float]:
+def in_numpy(bundle: Bundle, keys: list[EpochKey]) -> tuple[Labels, float]:
     """As the daemon does."""
     from veilcam_server.masks.fresh import FreshSource  # noqa: PLC0415
     from veilcam_server.masks.pairs import load_pairs  # noqa: PLC0415
     from veilcam_server.masks.source import MaskSource  # noqa: PLC0415
 
     source: MaskSource = load_pairs(bundle) if bundle.fresh is None else FreshSource(bundle)
-    measurement, labels, lengths, ready = recorded(bundle.embedding.shape), [], [0.0], 0.0
+    measurement, labels, ready = recorded(bundle.embedding.shape), [], 0.0
     for key in keys:
-        mask = source.make(key, "none" if bundle.fresh is None else "white", frozenset())
+        mask = source.make(key, frozenset())
         ready = ready or time.process_time()
         labels.append(bundle.labels.index(mask.reader.classify(measurement).label))
-        if bundle.fresh is not None:
-            lengths.append(float(np.linalg.norm(mask.reader.whiten(measurement))))
         mask.erase()
-    return labels, ready, max(lengths)
+    return labels, ready
 
 
-def in_torch(bundle: Bundle, keys: list[EpochKey]) -> tuple[Labels, float, float]:
+def in_torch(bundle: Bundle, keys: list[EpochKey]) -> tuple[Labels, float]:
     """The same steps, all that computes being torch's."""
     import torch  # noqa: PLC0415
 
     from veilcam_optics.decoding import Precision  # noqa: PLC0415
-    from veilcam_optics.decoding.release import Whitening  # noqa: PLC0415
     from veilcam_optics.keys.masks import draw_levels  # noqa: PLC0415
     from veilcam_training.bundle import classifier_inputs  # noqa: PLC0415
     from veilcam_training.models.network import build_classifier  # noqa: PLC0415
 
     torch.set_num_threads(1)
     measurement = torch.from_numpy(recorded(bundle.embedding.shape))[None]
-    labels, lengths, ready = [], [0.0], 0.0
+    labels, ready = [], 0.0
     with torch.inference_mode():
         if bundle.fresh is None:
             networks = [build_classifier(pair.layers, pair.weights) for pair in bundle.pairs]
             ready = time.process_time()
             seen = [network(measurement.flatten(1)) for network in networks[:EPOCHS]]
-            return [int(logits.argmax()) for logits in seen], ready, 0.0
+            return [int(logits.argmax()) for logits in seen], ready
         fresh = bundle.fresh
         frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).in_torch()
         decoding = frame.decoding(precision=Precision.DOUBLE)
@@ -117,11 +112,9 @@ def in_torch(bundle: Bundle, keys: list[EpochKey]) -> tuple[Labels, float, float
                 key.levels(), camera=bundle.camera, distribution=fresh.distribution
             )
             decoder = decoding.prepare(frame.shown(levels))
-            whitening = Whitening(decoder, key.rotation())
             ready = ready or time.process_time()
             labels.append(int(network(classifier_inputs(decoder, measurement).float()).argmax()))
-            lengths.append(float(torch.linalg.vector_norm(whitening.whiten(measurement))))
-    return labels, ready, max(lengths)
+    return labels, ready
 
 
 def take(mode: Literal["fresh", "pairs"], *, with_torch: bool) -> Taken:
@@ -137,10 +130,10 @@ def take(mode: Literal["fresh", "pairs"], *, with_torch: bool) -> Taken:
         EpochKey(bytes([number]) * 32, device="d7" * 32, bundle=bundle.digest)
         for number in range(EPOCHS)
     ]
-    labels, ready, white = (in_torch if with_torch else in_numpy)(bundle, keys)
+    labels, ready = (in_torch if with_torch else in_numpy)(bundle, keys)
     status = Path("/proc/self/status").read_text().splitlines()
     memory = {line.split(":")[0]: int(line.split()[1]) for line in status if line.endswith("kB")}
-    return Taken(memory["VmRSS"] / 1024, memory["VmHWM"] / 1024, ready, labels, white)
+    return Taken(memory["VmRSS"] / 1024, memory["VmHWM"] / 1024, ready, labels)
 
 
 def main(

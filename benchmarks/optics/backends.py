@@ -4,7 +4,6 @@
 
 - transfer matrices, as a share of the largest entry;
 - decoded scenes, whose brightness lies from 0 to 1;
-- white embeddings, of length 1 (they leave in float32, whose rounding this is);
 
 over every preset camera, with one sub-pixel column of interference and none, straight and turned,
 behind masks that are random, all open, one hole, and half of it dead. The time that NumPy takes
@@ -31,14 +30,11 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.presets import PRESETS
 from veilcam_optics.decoding import Precision, SceneDecoding, SceneStatistics, fit_statistics
-from veilcam_optics.decoding.release import Whitening
-from veilcam_optics.keys.masks import KEY_BYTES
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Transfer
 from veilcam_optics.transfer.tables import Reach
 
 Values = npt.NDArray[Any]
-KEY = bytes(range(KEY_BYTES))
 SCENES = 2000
 
 
@@ -91,7 +87,7 @@ def differences(decoding: SceneDecoding) -> dict[str, float]:
     other = in_numpy(decoding)
     generator = torch.Generator().manual_seed(2)
     scenes = blobs(decoding.operator.scene, 20, generator).double()
-    found = {"transfer": 0.0, "decoded scene": 0.0, "white embedding": 0.0}
+    found = {"transfer": 0.0, "decoded scene": 0.0}
     for mask in masks_of(decoding.operator.camera):
         transfer = decoding.operator(mask)
         seen = decoding.operator.embed(scenes, mask)
@@ -102,10 +98,6 @@ def differences(decoding: SceneDecoding) -> dict[str, float]:
                 other.operator(mask.numpy()) / float(transfer.max()),
             ),
             "decoded scene": (decoder(seen), theirs(seen.numpy())),
-            "white embedding": (
-                Whitening(decoder, KEY).whiten(seen),
-                Whitening(theirs, KEY).whiten(seen.numpy()),
-            ),
         }
         for name, (one, another) in pairs.items():
             found[name] = max(found[name], float(np.abs(one.numpy() - another).max()))
@@ -134,22 +126,16 @@ def time_ratios(rounds: int) -> dict[str, float]:
     other = in_numpy(decoding)
     mask = torch.rand(camera.mask_shape, generator=generator)
     with torch.inference_mode():
-        decoder, theirs = decoding.prepare(mask), other.prepare(mask.numpy())
         medians = take_turns(
             {
                 "transfer": (lambda: decoding.operator(mask), 5),
                 "transfer, NumPy": (lambda: other.operator(mask.numpy()), 5),
                 "decoder": (lambda: decoding.prepare(mask), 1),
                 "decoder, NumPy": (lambda: other.prepare(mask.numpy()), 1),
-                "whitening": (lambda: Whitening(decoder, KEY), 1),
-                "whitening, NumPy": (lambda: Whitening(theirs, KEY), 1),
             },
             rounds,
         )
-    return {
-        name: medians[f"{name}, NumPy"] / medians[name]
-        for name in ("transfer", "decoder", "whitening")
-    }
+    return {name: medians[f"{name}, NumPy"] / medians[name] for name in ("transfer", "decoder")}
 
 
 def main(

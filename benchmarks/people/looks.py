@@ -80,7 +80,7 @@ class Rig:
         transfer = self._decoding.operator(self._frame.shown(levels))
         decoder = self._decoding.prepare_transfer(transfer)
         passes = transmittance(levels, self.bundle.camera.panel.levels)
-        reader = FreshReader(self._classifier, decoder, None, passes)
+        reader = FreshReader(self._classifier, decoder, passes)
         return Mask(levels, torch.from_numpy(transfer), reader)
 
     def look(self, scenes: Scenes) -> list[Evidence]:

@@ -151,8 +151,7 @@ class Campaign:
         """Another form, or the same bytes as another shape or type."""
         match self._chance.randrange(3):
             case 0:
-                form = self._chance.choice(("white", "raw"))
-                answer["embedding"] = {"form": form, "shape": [2], "values": [0.0, 1.0]}
+                answer["embedding"] = {"form": "raw", "shape": [2], "values": [0.0, 1.0]}
             case 1:
                 answer["embedding"]["shape"] = self._chance.choice(OTHER_SHAPES)
             case 2:

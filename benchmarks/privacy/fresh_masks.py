@@ -23,8 +23,6 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import quantise, random_mask, to_weights
 from veilcam_optics.decoding import Precision, SceneDecoding
-from veilcam_optics.decoding.release import ReleaseForm, Whitening
-from veilcam_optics.keys.masks import KEY_BYTES
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
@@ -142,14 +140,11 @@ def timing(*, data: Data, rounds: int = 30, figures: FiguresOption = None) -> No
 def clusters(
     *, data: Data, masks: int = 10, captures: int = 200, figures: FiguresOption = None
 ) -> None:
-    """Cluster released embeddings without a key; chance has an adjusted Rand index of 0.
-
-    Raw or white, as if many of one mask were released: a daemon lets one white one out, if any.
-    """
+    """Cluster raw embeddings without a key; chance has an adjusted Rand index of 0."""
     model, images = _model(data)
     fresh = model.encoder
     generator = torch.Generator().manual_seed(7)
-    released: dict[ReleaseForm, list[Tensor]] = {form: [] for form in ReleaseForm}
+    released: list[Tensor] = []
     for index in range(masks):
         weights = torch.from_numpy(
             to_weights(fresh.draw_levels("clusters", index), fresh.setup.camera.panel)
@@ -157,31 +152,24 @@ def clusters(
         mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
         part = slice(index * captures, (index + 1) * captures)
         measurements = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
-        key = torch.randint(256, (KEY_BYTES,), generator=generator, dtype=torch.uint8)
-        whitening = Whitening(mask.decoder, key.numpy().tobytes())
-        released[ReleaseForm.RAW].append(measurements.flatten(1))
-        released[ReleaseForm.WHITE].append(whitening.whiten(measurements))
+        released.append(measurements.flatten(1))
     labels = torch.arange(masks).repeat_interleave(captures)
-    values: dict[str, float] = {}
-    for form, parts in released.items():
-        points = torch.cat(parts)
-        unit = points / points.norm(dim=1, keepdim=True)
-        indices = {
-            "k-means": adjusted_rand_index(labels, k_means(points, masks, generator)),
-            "k-means of directions": adjusted_rand_index(labels, k_means(unit, masks, generator)),
-            "subspaces": adjusted_rand_index(labels, subspace_clusters(points, masks, generator)),
-            "subspaces of squares": adjusted_rand_index(
-                labels, subspace_clusters(points.square(), masks, generator)
-            ),
-        }
-        print(form.value, {name: round(value, 4) for name, value in indices.items()}, flush=True)
-        values[f"cluster_ari_{form.value}"] = round(max(map(abs, indices.values())), 4)
-    record(figures, values)
+    points = torch.cat(released)
+    unit = points / points.norm(dim=1, keepdim=True)
+    indices = {
+        "k-means": adjusted_rand_index(labels, k_means(points, masks, generator)),
+        "k-means of directions": adjusted_rand_index(labels, k_means(unit, masks, generator)),
+        "subspaces": adjusted_rand_index(labels, subspace_clusters(points, masks, generator)),
+        "subspaces of squares": adjusted_rand_index(
+            labels, subspace_clusters(points.square(), masks, generator)
+        ),
+    }
+    print({name: round(value, 4) for name, value in indices.items()}, flush=True)
+    record(figures, {"cluster_ari_raw": round(max(map(abs, indices.values())), 4)})
 
 
 @app.command()
 def keyless(
-    form: Annotated[str, typer.Argument(help="raw or white.")],
     *,
     data: Data,
     exponent: Annotated[float, typer.Option(help="Of the masks' distribution.")] = 1.0,
@@ -189,7 +177,7 @@ def keyless(
     images: int = 20_000,
     figures: FiguresOption = None,
 ) -> None:
-    """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
+    """Classify raw embeddings without a key: what they do not hide. Chance is 10 %."""
     chosen = {"fresh": {"exponent": exponent}, "epochs": epochs, "jitter": STILL}
     settings = load_settings(None, chosen)
     source, camera = open_source(settings.data, data), Camera()
@@ -197,7 +185,7 @@ def keyless(
     parts = Split(parts.training.take(torch.arange(images)), parts.validation)
     known = fresh_statistics(settings, camera, source.scene, parts.training)
     keyed = make_fresh_camera(settings, camera, source.scene, known)
-    attacked = KeylessCamera(keyed, ReleaseForm(form))
+    attacked = KeylessCamera(keyed)
     task = SceneTask(1, *attacked.setup.embedding.shape, 10)
     layers = make_layers(settings.classifier, task)
     with seeded(settings.seed, "classifier"):
@@ -206,11 +194,11 @@ def keyless(
         model,
         parts,
         settings,
-        callbacks=[EpochLines(form)],
+        callbacks=[EpochLines("raw")],
     )
     percent = 100 * result.best.validation_accuracy
-    print(f"{form}, exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")
-    name = f"keyless_accuracy_{form}" + ("" if exponent == 1 else f"_exponent{exponent:g}")
+    print(f"exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")
+    name = "keyless_accuracy_raw" + ("" if exponent == 1 else f"_exponent{exponent:g}")
     record(figures, {name: round(percent, 2)})
 
 

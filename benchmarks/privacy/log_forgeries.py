@@ -124,7 +124,7 @@ def record_ms(captures: int = 1000) -> float:
     took = []
     provenance = Provenance(secrets.token_hex(32), tested=90.0, calibration=None)
     values = np.random.default_rng(0).random((24, 32), np.float32)
-    embedding = Embedding.from_array(values, form="white")
+    embedding = Embedding.from_array(values)
     with tempfile.TemporaryDirectory() as folder:
         log = Log(Path(folder) / "log", DeviceKey(Ed25519PrivateKey.generate()))
         log.begin(log_fault)

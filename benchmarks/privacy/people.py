@@ -22,7 +22,6 @@ from benchmarks.privacy.keys.options import shown_progress
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.decoding import SceneDecoding, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.attacks.linkage import (
@@ -50,7 +49,7 @@ from veilcam_training.attacks.victim import FORMS, FreshMasks, Victim
 from veilcam_training.data import Images, open_source
 from veilcam_training.seeding import stream
 
-FORM_NAMES = ("raw", "white", "sealed")
+FORM_NAMES = ("raw", "sealed")
 ATTRIBUTES = {"gender": "faces-gender", "smile": "faces-smiling", "glasses": "faces-glasses"}
 EMBEDDING = Embedding(12, 16)
 GALLERY = 50
@@ -183,15 +182,10 @@ def measured(
     """All figures of one form: areas, and shares [%]."""
     camera = Camera()
     light = TransferOperator(camera, scene, EMBEDDING)
-    training = next(iter(sources.values()))[0]
-    decoding = None
-    if form == "white":
-        decoding = SceneDecoding(light, fit_statistics([training.scenes(slice(0, 4000))], 300))
     victim = Victim(
         light,
         FreshMasks(camera, MaskDistribution.uniform(camera)),
         FORMS[form],
-        decoding=decoding,
         generator=stream(seed, "masks", form),
     )
     random = stream(seed, "scenes", form)

@@ -71,7 +71,7 @@ LIMIT: Figures = {
     },
     "numpy_torch_max_difference": (
         "optics",
-        "NumPy against torch: transfers, decoded scenes, releases, relative",
+        "NumPy against torch: transfers and decoded scenes, relative",
         "{:.1e}",
     ),
 }

@@ -111,11 +111,6 @@ UNUSED: Figures = {
     ),
     "prepare_ms": ("fresh-masks", "preparing such a mask, on one core", "{:.0f} ms"),
     "decode_classify_ms": ("fresh-masks", "decoding and classifying, on one core", "{:.1f} ms"),
-    "cluster_ari_white": (
-        "fresh-masks",
-        "clustering `white` embeddings by mask, no key, no epoch's name: best adjusted Rand index",
-        "{:.4f}",
-    ),
 }
 DAEMON: Figures = {
     "overhead_median_ms": (
@@ -135,7 +130,7 @@ HEADLINES: Figures = {
     name: _ALL[name]
     for name in (
         "fresh_mnist_24x32",
-        "white_digit_advantage_upper",
+        "clear_part_auc",
         "past_opened",
         "step_time_waveprop_over_ours",
         "overhead_median_ms",

@@ -22,12 +22,6 @@ KEYS: Figures = {
             "two scenes told apart by a classifier trained on what `sealed` answers show: AUC",
             "{:.3f}",
         ),
-        "white_digit_advantage_upper": (
-            "digits read from `white`, one capture a mask: points above chance, at most",
-            "{:.2f}",
-        ),
-        "white_presence_auc": ("whether anything is there, from `white`: AUC", "{:.3f}"),
-        "white_linkage_auc": ("whether two `white` show the same scene: AUC", "{:.3f}"),
         "seal_open_ms": ("sealing and opening an embedding, 24 x 32", "{:.2f} ms"),
         "fresh_accuracy_sealed": (
             "MNIST by the holder of a receiver's key, fresh masks, 24 x 32",
@@ -37,33 +31,6 @@ KEYS: Figures = {
 }
 
 MORE_KEYS: Figures = {
-    **{
-        f"clear_part_auc_{form}": (
-            "keys",
-            f"two scenes told apart by the clear part of answers with `{form}`: AUC",
-            "{:.3f}",
-        )
-        for form in ("sealed", "white")
-    },
-    **{
-        f"{where}white_{question}": ("keys", f"{words}{said}", pattern)
-        for where, said in {"": "", "rest_": ", over REST"}.items()
-        for question, words, pattern in (
-            ("kind_advantage_upper", "the kind of scene, from `white`: points, at most", "{:.2f}"),
-            (
-                "skin_advantage_upper",
-                "skin of drawn faces, from `white`: points, at most",
-                "{:.2f}",
-            ),
-            (
-                "presence_auc_upper",
-                "whether anything is there, from `white`: AUC, at most",
-                "{:.3f}",
-            ),
-            ("linkage_auc_upper", "whether two `white` show the same: AUC, at most", "{:.3f}"),
-            ("digit_advantage", "digits read from `white`: points above chance", "{:.2f}"),
-        )
-    },
     "seal_open_first_ms": (
         "keys",
         "sealing, and opening the first embedding of an epoch, 24 x 32",
@@ -133,7 +100,7 @@ CARD_ROWS = {
 }
 
 CARD_MODES = {
-    "fresh": "fresh, `white`",
+    "fresh": "fresh, `sealed`",
     "pairs1": "1 pair, `raw`",
     "pairs10": "10 pairs, `raw`",
     "pairs100": "100 pairs, `raw`",

@@ -244,8 +244,8 @@ def _header(status: Status, key: ReceiverKey | None) -> MeasurementsHeader:
     for wrong, why in (
         (status.state == "replay", "this daemon replays a recording: collect from a camera"),
         (
-            status.release in ("none", "white"),
-            f"embeddings leave {status.release}, which no classifier reads: {_RECEIVER}",
+            status.release == "none",
+            f"no embeddings leave this camera: {_RECEIVER}",
         ),
         (status.release == "sealed" and key is None, f"embeddings leave sealed: {_RECEIVER}"),
         (

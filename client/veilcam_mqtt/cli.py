@@ -107,8 +107,8 @@ def run(
 ) -> None:
     """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it.
 
-    Its token needs read:status, classify, read:scores and mask:rotate. Where no camera is given, it
-    is the one that systemd runs on this machine.
+    Its token needs read:status, classify and mask:rotate, and read:scores for the confidence. Where
+    no camera is given, it is the one that systemd runs on this machine.
     """
     with errors(COMMAND):
         if log_level not in ("debug", "info", "warning", "error"):

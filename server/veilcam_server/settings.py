@@ -53,6 +53,7 @@ _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("callers", "heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
+        "full_scores",
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -109,15 +110,19 @@ class Settings(CallerLimits, Wiring):
     quiet_hours: str | None = None
     """From when to when it never looks, by the clock on the wall, as in 22-7 or 22:30-7: the panel
     is opaque then."""
+    watch_threshold: float = Field(default=0.6, ge=0.5, le=0.95)
+    """Probability from which the watch says that a thing is there."""
     calibration: Path | None = None
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""
     release: Release | None = None
-    """How embeddings leave: none, sealed, white or raw. Default: sealed as soon as a receiver is
-    paired; before that white for gray fresh masks, and else none."""
+    """How embeddings leave: none, sealed or raw. Default: sealed as soon as a receiver is paired,
+    and before that none."""
     raw_budget: int = Field(default=0, ge=0, le=1_000_000_000)
     """Embeddings that may leave raw behind one mask, over its whole life; --release raw needs 1 or
     more."""
+    full_scores: bool = False
+    """Tell scores in full to tokens with read:scores, and not in tenths: they name the scene."""
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
     """Seconds for the panel to settle, never less than was measured."""
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)
@@ -178,6 +183,16 @@ class Settings(CallerLimits, Wiring):
                     f"{masked(origin)!r} is no origin: use https://home.example, or with :PORT"
                 )
         return origins
+
+    @field_validator("release", mode="before")
+    @classmethod
+    def _a_form(cls, given: object) -> object:
+        if given == "white":
+            raise ValueError(
+                "the form 'white' is gone, as nobody could read it: use sealed, and pair a "
+                "receiver with 'veilcam receiver add', or use none"
+            )
+        return given
 
     @field_validator("watch")
     @classmethod

@@ -25,7 +25,7 @@ def answers(leak: Leak | None = None) -> tuple[list[Answer], np.ndarray[Any, np.
             "epoch": random.bytes(16).hex(),
             "number": 0,
             "taken_at": f"2026-01-02T03:04:{random.integers(60):02}Z",
-            "embedding": {"form": "white", "values": [float(random.standard_normal())]},
+            "embedding": {"form": "raw", "values": [float(random.standard_normal())]},
         }
         headers = [("status", "200 OK"), ("x-request-id", random.bytes(8).hex())]
         if leak is not None:

@@ -83,6 +83,7 @@ class Daemon:
         options = (
             *("--auth", "tokens", "--scene-api", "--watch", "2/s", "--port", str(self.port)),
             *("--settle", "0", "--exposure", "0", "--every-captures", str(CAPTURES)),
+            *("--release", "raw", "--raw-budget", "1000000"),
         )
         self._started.enter_context(running(FRESH, self.scene, self.folder, *options))
 

@@ -87,13 +87,13 @@ def test_an_embedding_is_a_picture_where_the_token_may_see_it(
 ) -> None:
     page = open_page()
     page.get_by_role("button", name="Take one").click()
-    picture = page.get_by_role("img", name="An embedding of 24 by 32 numbers, white")
+    picture = page.get_by_role("img", name="An embedding of 24 by 32 numbers, raw")
     expect(picture).to_be_visible()
     greys = picture.evaluate(
         "each => new Set(each.getContext('2d').getImageData(0, 0, 32, 24).data).size"
     )
     assert greys > 50
-    expect(page.get_by_text(re.compile("^24 × 32 numbers, white, behind epoch"))).to_be_visible()
+    expect(page.get_by_text(re.compile("^24 × 32 numbers, raw, behind epoch"))).to_be_visible()
 
     # Of a token that may not, there is not even the place for it.
     other = open_page(known=False)

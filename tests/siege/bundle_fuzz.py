@@ -48,16 +48,12 @@ def source_of(bundle: Bundle) -> MaskSource:
 
 
 def use(source: MaskSource, bundle: Bundle) -> None:
-    mask = source.make(KEY, "white" if bundle.fresh is not None else "sealed", frozenset())
+    mask = source.make(KEY, frozenset())
     if mask.levels.shape != bundle.camera.mask_shape or int(np.max(mask.levels)) > 63:
         raise RuntimeError("a mask that the panel cannot show")
     embedding = np.full(bundle.embedding.shape, 0.1, np.float32)
     try:
         verdict = mask.reader.classify(embedding)
-        if bundle.fresh is not None:
-            white = mask.reader.whiten(embedding)
-            if not math.isclose(float(np.linalg.norm(white)), 1.0, rel_tol=1e-5):
-                raise RuntimeError("a white embedding that is no direction")
     except InferenceError:
         return  # no label, and told so
     scores = verdict.scores or {}

@@ -19,7 +19,7 @@ from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_server.settings import Settings
 
-WHITE, RAW = 1, 4
+RAW = 4
 RACERS = 4
 EACH, LIFE, MOST_LIVES = 6, 3.0, 30
 """Most embeddings of a daemon's life, its longest time [s], and lives until all masks are spent."""
@@ -54,17 +54,17 @@ async def greedy(ground: Ground, judgement: Judgement) -> None:
     lives = max(3, int(ground.extent.seconds / 6))
     given = {"snr_db": math.inf, **UNHINDERED}
     fresh = written(ground.folder / "greedy.veilcam", fresh_bundle())
-    white = ground.settings("greedy-white", bundle=fresh, release="white", **given)
-    raw = ground.settings("greedy-raw", release="raw", raw_budget=RAW, **given)
+    drawn = ground.settings("greedy-drawn", bundle=fresh, release="raw", raw_budget=1, **given)
+    stored = ground.settings("greedy-stored", release="raw", raw_budget=RAW, **given)
     judgement.figures["beyond_budget"] = 0.0
-    for form, settings, budget, others, most_lives in (
-        ("white", white, WHITE, [], lives),
-        ("raw", raw, RAW, [second_bundle(raw)], MOST_LIVES),
+    for masks, settings, budget, others, most_lives in (
+        ("drawn", drawn, 1, [], lives),
+        ("stored", stored, RAW, [second_bundle(stored)], MOST_LIVES),
     ):
         loot = await _race(ground, settings, budget, others, most_lives)
-        beside = f"{loot.epochs.total()} in all, behind {len(loot.masks)} masks"
-        judgement.at_most(f"{form} embeddings behind one mask", loot.most, budget, beside=beside)
-        judgement.at_least(f"{form} embeddings", loot.epochs.total(), 2)
+        beside = f"{loot.epochs.total()} in all, behind {len(loot.masks)} {masks} masks"
+        judgement.at_most(f"embeddings behind one {masks} mask", loot.most, budget, beside=beside)
+        judgement.at_least(f"embeddings behind {masks} masks", loot.epochs.total(), 2)
         judgement.figures["beyond_budget"] += max(0, loot.most - budget)
     judgement.at_most("masks seen raw", len(loot.masks), 2 * PAIRS)
     judgement.at_least("refused, as all masks are spent", loot.spent, 1)

@@ -81,13 +81,13 @@ class Planted:
         fresh, source = bundle.fresh, FreshSource(bundle) if bundle.fresh is not None else None
         for number, key in enumerate(keys):
             derived = {"key": key.reveal(), "key of levels": key.levels()}
-            derived |= {"key of the rotation": key.rotation(), "sealing key": key.sealing()}
+            derived["sealing key"] = key.sealing()
             for name, content in derived.items():
                 self.add_bytes(f"the {name} of epoch {number}", bytes(content))
             if source is None or fresh is None:
                 continue
             if number < DECODERS:
-                mask = source.make(key, "white", frozenset())
+                mask = source.make(key, frozenset())
                 levels = mask.levels
                 for name, values in _tensors(mask.reader):
                     self.add_weights(f"{name} of epoch {number}", values)

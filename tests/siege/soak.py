@@ -2,7 +2,7 @@
 
 Every capture has a mask of its own, drawn from a key. The light carries 64 of the mask's levels to
 the 64 values of a measurement, so each measurement tells its mask, or its mixture of masks. Every
-embedding leaves: sealed, and opened again by a receiver, or white. Meanwhile somebody changes masks
+embedding leaves: sealed, and opened again by a receiver, or raw. Meanwhile somebody changes masks
 by hand. The panel's bus breaks off in the middle of masks; the camera hangs, gives old frames and
 gives frames twice. Engines are stopped and started; the row ``kill`` kills whole daemons. A panel
 that takes bytes and does not show them is left to the self test's tests.
@@ -63,7 +63,7 @@ MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
 CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
 SETTLE, TIMEOUT = 1e-3, 0.05
 """Time that the engine grants the crystal, and its longest wait for a frame [s]."""
-FORMS: tuple[Release, ...] = ("sealed", "white")
+FORMS: tuple[Release, ...] = ("sealed", "raw")
 WARM_UP = 0.2
 """Share of the captures after which memory must have stopped growing."""
 GROWTH = 20.0  # [MB]

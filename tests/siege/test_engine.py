@@ -238,7 +238,7 @@ class Epoch:
 
 ONE, TWO = Epoch(FIRST, 1), Epoch(SECOND, 2)
 
-PLAIN = Embedding.from_array(np.ones((2, 3), np.float32), form="raw")
+PLAIN = Embedding.from_array(np.ones((2, 3), np.float32))
 UNSEALED = Capture(id="1", epoch=SECOND, number=0, taken_at=AT, embedding=PLAIN)
 FOREIGN = Epoch(THIRD, 2, ReceiverKey.generate().public).take(0)
 

@@ -151,7 +151,7 @@ def make_key(number: int, device: str = "0f" * 32) -> EpochKey:
 def test_masks_decoders_and_keys_of_epochs_are_found() -> None:
     keys, planted, bundle = [make_key(number) for number in range(6)], Planted(), fresh_bundle()
     planted.add_epochs(bundle, keys[:5])
-    masks = [FreshSource(bundle).make(key, "white", frozenset()) for key in keys]
+    masks = [FreshSource(bundle).make(key, frozenset()) for key in keys]
     for number in (0, 4):
         levels = repr(masks[number].levels.tolist()).encode()
         assert planted.found_in(levels) == {f"mask of epoch {number}"}
@@ -163,7 +163,6 @@ def test_masks_decoders_and_keys_of_epochs_are_found() -> None:
     for derived, name in (
         (key.reveal(), "key"),
         (key.levels(), "key of levels"),
-        (key.rotation(), "key of the rotation"),
         (key.sealing(), "sealing key"),
     ):
         for content in (repr(list(derived)).encode(), base64.b64encode(derived)):

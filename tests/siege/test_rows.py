@@ -31,7 +31,7 @@ MISSED = {
     "log": ["every task goes on"],
     "clock": ["again of"],
     "device": ["while the sensor is gone: ready", "while the panel is gone: ready"],
-    "greedy": ["white embeddings behind one mask", "raw embeddings behind one mask"],
+    "greedy": ["embeddings behind one drawn mask", "embeddings behind one stored mask"],
     "kill": ["acknowledged and lost", "again of", "not opened"],
 }
 

@@ -1,7 +1,6 @@
-"""What embeddings, answers and memory tell whoever has no key. One command a proof.
+"""What answers and memory tell whoever has no key. One command a proof.
 
-``python -m benchmarks.privacy.keys collect runs/white --data data/mnist --faces data/faces``
-``python -m benchmarks.privacy.keys white runs/white --figures benchmarks/results/keys.json``
+``python -m benchmarks.privacy.keys answers runs/rest --figures benchmarks/results/keys.json``
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.privacy.keys import served, white
+from benchmarks.privacy.keys import served
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.options import BundleOption, SeedOption, fresh_bundle, shown_progress
 from benchmarks.rig import work_folder
@@ -22,10 +21,7 @@ from veilcam_server.demo_data import FRESH
 from veilcam_training.data import open_source
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
-app.command("collect")(white.collect_command)
-app.command("white")(white.attack_command)
 app.command("answers")(served.answers)
-app.command("digits")(served.digits)
 app.command("past")(served.past)
 
 

@@ -11,9 +11,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import torch
-from benchmarks.privacy.keys.released import Camera, Floats32
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from torch import Tensor
 
 from veilcam_client.keys.blocks import Opener, Sealer
 from veilcam_client.keys.envelopes import open_key, seal_key
@@ -21,11 +23,15 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Exposure, Notes, Timing
 from veilcam_client.wire.sealing import Release
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.keys.masks import draw_levels
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.masks.source import Terms
+from veilcam_server.masks.source import Mask, Terms
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_training.bundle import Bundle, classifier_inputs
 from veilcam_training.data import Images
@@ -36,8 +42,38 @@ NOTES = Notes(
     timing=Timing(queue_s=0.0, rotation_s=0.02, settle_s=0.08, capture_s=0.05),
 )
 _WARM_UP = 3
+SNR_DB = 40.0
+Floats32 = npt.NDArray[np.float32]
 
 ResultT = TypeVar("ResultT")
+
+
+class Camera:
+    """Draws masks as the daemon does, and reads scenes behind them with noise.
+
+    The light has interference of terms that the decoder does not know of, and noise at 40 dB.
+
+    Args:
+        bundle: of mode fresh.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self.bundle, self._source = bundle, FreshSource(bundle)
+        self._light = TransferOperator(
+            bundle.camera, bundle.scene, bundle.embedding, reach=Reach(6, 1), dtype=torch.float32
+        )
+
+    def mask_of(self, key: EpochKey) -> Mask:
+        """The mask of an epoch."""
+        return self._source.make(key, frozenset())
+
+    def read(self, mask: Mask, scene: Tensor, noise: torch.Generator) -> Floats32:
+        """Measurement of a scene (rows, columns), float32."""
+        weights = torch.from_numpy(to_weights(mask.levels, self.bundle.camera.panel)).float()
+        with torch.no_grad():
+            light = self._light.embed(scene[None], weights)
+        measured: Floats32 = shot_noise(light, SNR_DB, noise).numpy()[0]
+        return measured
 
 
 class Ends:
@@ -99,7 +135,7 @@ def preparation_times(bundle: Bundle, folder: Path, rounds: int) -> dict[str, fl
     """
     source, ends = FreshSource(bundle), Ends(bundle.digest)
     key = EpochKey.generate(device=ends.device.public, bundle=bundle.digest)
-    forms: Sequence[Release] = ("none", "sealed", "white")
+    forms: Sequence[Release] = ("none", "sealed")
     budget = ReleaseBudget(folder, raw=0)
     prepare = {
         form: Preparation(source, ends.device, _terms(form, ends.receiver), budget)
@@ -108,7 +144,7 @@ def preparation_times(bundle: Bundle, folder: Path, rounds: int) -> dict[str, fl
     took: dict[str, list[float]] = {name: [] for name in ("mask", *forms)}
     try:
         for _ in range(_WARM_UP + rounds):
-            mask, seconds = _timed(lambda: source.make(key, "none", frozenset()))
+            mask, seconds = _timed(lambda: source.make(key, frozenset()))
             took["mask"].append(seconds)
             mask.erase()
             for form, preparation in prepare.items():
@@ -156,13 +192,11 @@ def read_sealed(bundle: Bundle, images: Images, seed: int) -> Iterator[Read]:
     classifier = build_classifier(fresh.layers, fresh.weights).eval()
     for number, label in enumerate(images.labels.tolist()):
         key, sealer, name = ends.epoch()
-        mask = camera.mask_of(key, "sealed")
+        mask = camera.mask_of(key)
         key.erase()
-        measurement = camera.read(
-            mask, [images.scenes(slice(number, number + 1))[0].numpy()], noise
-        )
-        said = mask.reader.classify(measurement[0]).label
-        capture = sealed(sealer, name, 0, measurement[0])
+        measurement = camera.read(mask, images.scenes(slice(number, number + 1))[0], noise)
+        said = mask.reader.classify(measurement).label
+        capture = sealed(sealer, name, 0, measurement)
         mask.erase()
         sealer.erase()
         envelope = capture.embedding.envelope  # type: ignore[union-attr]

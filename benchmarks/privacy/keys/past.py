@@ -26,8 +26,8 @@ _BLOCK = 64
 _HEAD = 8
 _LEVELS = 48
 """Sub-pixels of a mask that are looked for: no two masks have them in common."""
-NAMES = ("key", "sealing", "rotation", "levels", "mask")
-"""Secrets of an epoch: its key, the three keys made of it, and the mask's levels."""
+NAMES = ("key", "sealing", "levels", "mask")
+"""Secrets of an epoch: its key, the two keys made of it, and the mask's levels."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def epoch_of(capture: Capture, receiver: ReceiverKey, bundle: Bundle) -> Epoch:
         raise ValueError(f"capture {capture.number} is not the first of its epoch")
     key = open_key(sealed.envelope, receiver, device=None)
     levels = draw_levels(key.levels(), camera=bundle.camera, distribution=bundle.fresh.distribution)
-    values = (key.reveal(), key.sealing(), key.rotation(), key.levels())
+    values = (key.reveal(), key.sealing(), key.levels())
     kept = [bytes(value) for value in values] + [levels.tobytes()[:_LEVELS]]
     return Epoch(dict(zip(NAMES, kept, strict=True)), head_of(sealed))
 

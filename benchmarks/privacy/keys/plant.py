@@ -9,15 +9,13 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Literal
 from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
-from benchmarks.privacy.keys.released import Released
 
 from veilcam_client.keys.receivers import Receiver
-from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.sealing import ReceiverRequest
 from veilcam_client.wire.simulation import picture_bytes
@@ -25,7 +23,6 @@ from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 
-Form = Literal["sealed", "white"]
 Picture = npt.NDArray[np.uint8]
 
 
@@ -92,21 +89,29 @@ class Daemon:
 
 
 @contextmanager
-def fresh_daemon(bundle: Path, folder: Path, receiver: Receiver | None) -> Iterator[Daemon]:
-    """Yield a simulated daemon that releases ``sealed`` to a receiver, or else ``white``.
+def fresh_daemon(bundle: Path, folder: Path, receiver: Receiver) -> Iterator[Daemon]:
+    """Yield a simulated daemon that releases ``sealed`` to a receiver.
 
     Every capture has a mask of its own; neither panel nor exposure takes any time.
     """
     folder.mkdir(parents=True, exist_ok=True)
     scene = folder / "scene.npy"
     write_scene(scene, load_digits().images[0])
-    form: Form = "white" if receiver is None else "sealed"
-    options = ("--scene-api", "--settle", "0", "--exposure", "0", "--every-captures", "1")
-    with running(bundle, scene, folder, *options, "--release", form) as url:
+    options = (
+        "--scene-api",
+        "--settle",
+        "0",
+        "--exposure",
+        "0",
+        "--every-captures",
+        "1",
+        "--release",
+        "sealed",
+    )
+    with running(bundle, scene, folder, *options) as url:
         daemon = Daemon(url)
         try:
-            if receiver is not None:
-                daemon.pair(receiver)
+            daemon.pair(receiver)
             yield daemon
         finally:
             daemon.close()
@@ -156,10 +161,3 @@ def two_scenes(count: int, seed: int) -> list[int]:
     order = np.repeat([0, 1], count)
     np.random.default_rng(seed).shuffle(order)
     return [int(each) for each in order]
-
-
-def released_of(found: Sequence[Answer], labels: npt.NDArray[np.int64]) -> Released:
-    """White embeddings of answers, (answers, 1, rows, columns)."""
-    captures = [Capture.model_validate_json(each.body) for each in found]
-    vectors = np.stack([np.asarray(each) for each in captures])[:, None]
-    return Released(vectors, labels[:, None])

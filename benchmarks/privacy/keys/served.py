@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,24 +22,17 @@ from benchmarks.privacy.keys.plant import (
     fresh_daemon,
     planted,
     read_answers,
-    released_of,
     two_scenes,
 )
-from benchmarks.privacy.keys.released import Released
-from benchmarks.privacy.keys.rows import attack
-from benchmarks.privacy.keys.scenes import Question, Stock
-from benchmarks.privacy.keys.white import tell, white_figures
 from benchmarks.rig import work_folder
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_server.demo_data import FRESH, load_digits
-from veilcam_training.attacks.intervals import area, holm
-from veilcam_training.attacks.networks import FAMILIES
+from veilcam_training.attacks.intervals import area
 
 
 def answers(
     work: WorkArgument,
-    form: Annotated[str, typer.Argument(help="sealed or white.")],
     *,
     count: Annotated[int, typer.Option(min=20, help="Captures of each of two scenes.")] = 2000,
     bundle: BundleOption = FRESH,
@@ -49,61 +41,34 @@ def answers(
     figures: FiguresOption = None,
 ) -> None:
     """Plant a digit and an empty room before a real daemon; tell them apart by its answers."""
-    if form not in ("sealed", "white"):
-        raise typer.BadParameter("use sealed or white")
     labels = two_scenes(count, seed)
     digit = load_digits().images[0]
     # Not black: a camera that sees nothing at all says that it is too dark.
     empty = np.full_like(digit, 64)
     pictures = [digit if each else empty for each in labels]
-    path = work / f"two-{form}-{count}-{seed}.jsonl"
-    _plant(path, bundle, form, pictures, labels)
+    path = work / f"two-sealed-{count}-{seed}.jsonl"
+    _plant(path, bundle, pictures, labels)
     found, planted_labels = read_answers(path), np.array(labels)
     made = columns(found)
     told = differences(made, planted_labels)
     gain = clear_part_gain(made, planted_labels, epochs=epochs, seed=seed)
-    print(f"{form}: {len(found)} answers, {len(made)} columns differ from answer to answer")
+    print(f"{len(found)} answers, {len(made)} columns differ from answer to answer")
     print(f"columns of which the distributions differ: {', '.join(told) or 'none'}")
     print(f"clear part: AUC {gain.shown:.4f}, standard error {gain.error:.4f}, n = {gain.count}")
     waits = np.array([each.waited for each in found])
     wait, error = area(waits, planted_labels == 1)
     print(f"no part of an answer: how long it took, AUC {wait:.4f}, standard error {error:.4f}")
-    end = "" if form == "sealed" else f"_{form}"
     values = {
-        f"clear_part_auc{end}": round(gain.shown, 4),
-        f"clear_part_auc_error{end}": round(gain.error, 4),
-        f"clear_part_differences{end}": len(told),
-        f"answer_time_auc{end}": round(wait, 4),
+        "clear_part_auc": round(gain.shown, 4),
+        "clear_part_auc_error": round(gain.error, 4),
+        "clear_part_differences": len(told),
+        "answer_time_auc": round(wait, 4),
     }
-    if form == "white":
-        presence = released_of(found, planted_labels)
-        values |= _white_answers(presence, "presence", 2, epochs, seed)
     record(figures, values)
 
 
-def digits(
-    work: WorkArgument,
-    *,
-    count: Annotated[int, typer.Option(min=20, help="Captures, of a mask each.")] = 2000,
-    bundle: BundleOption = FRESH,
-    epochs: EpochsOption = 8,
-    seed: SeedOption = 1,
-    figures: FiguresOption = None,
-) -> None:
-    """Plant digits before a real daemon that releases white, and attack what it answers."""
-    sample, random = load_digits(), np.random.default_rng(seed)
-    stock = Stock(sample.images, sample.labels.astype(np.int64))
-    drawn = [stock.draw(random) for _ in range(count)]
-    pictures = [np.round(255 * scene).astype(np.uint8) for scene, _ in drawn]
-    labels = [label for _, label in drawn]
-    path = work / f"digits-{count}-{seed}.jsonl"
-    _plant(path, bundle, "white", pictures, labels)
-    released = released_of(read_answers(path), np.array(labels))
-    record(figures, _white_answers(released, "digit", 10, epochs, seed))
-
-
-def _plant(path: Path, bundle: Path, form: str, pictures: list[Picture], labels: list[int]) -> None:
-    receiver = ReceiverKey.generate().public if form == "sealed" else None
+def _plant(path: Path, bundle: Path, pictures: list[Picture], labels: list[int]) -> None:
+    receiver = ReceiverKey.generate().public
     done = len(read_answers(path)) if path.exists() else 0
     if done == len(labels):
         return
@@ -112,26 +77,9 @@ def _plant(path: Path, bundle: Path, form: str, pictures: list[Picture], labels:
         fresh_daemon(bundle, folder, receiver) as daemon,
         shown_progress() as progress,
     ):
-        task = progress.add_task(f"answers, {form}", total=len(labels), completed=done)
+        task = progress.add_task("answers", total=len(labels), completed=done)
         for number in planted(daemon, pictures, labels, path):
             progress.update(task, completed=number)
-
-
-def _white_answers(
-    released: Released, question: Question, classes: int, epochs: int, seed: int
-) -> dict[str, float]:
-    """Attack white embeddings that came over REST; too few to prove what `white` proves."""
-    shape = (released.vectors.shape[-2], released.vectors.shape[-1])
-    flat = replace(released, vectors=released.vectors.reshape(len(released.labels), 1, -1))
-    gains = {
-        f"{question} by {family}": attack(
-            question, family, flat, classes, shape=shape, epochs=epochs, seed=seed
-        )
-        for family in FAMILIES
-    }
-    verdicts = holm(gains)
-    tell(verdicts)
-    return {f"rest_{name}": value for name, value in white_figures(verdicts).items()}
 
 
 def past(

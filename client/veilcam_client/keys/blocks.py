@@ -229,7 +229,7 @@ def open_block(
         data = _associated_data(sealed.envelope, sealed.shape, answer.number, answer.taken_at)
         opened = ChaCha20Poly1305(key).decrypt(_nonce(answer.number), block, data)
         values = np.frombuffer(opened[:-NOTES_BYTES], "<f4").astype(np.float32)
-        embedding = Embedding.from_array(values.reshape(sealed.shape), form="raw")
+        embedding = Embedding.from_array(values.reshape(sealed.shape))
         return embedding, Notes.model_validate_json(opened[-NOTES_BYTES:])
     except (InvalidTag, OverflowError, ValueError):
         raise SealedError(

@@ -53,10 +53,6 @@ class EpochKey:
         """Key of the stream that the mask is drawn from, 32 bytes."""
         return self._derived(b"veilcam mask levels 1")
 
-    def rotation(self) -> bytearray:
-        """Key of the stream that the rotation of white embeddings is drawn from, 32 bytes."""
-        return self._derived(b"veilcam white rotation 1")
-
     def sealing(self) -> bytearray:
         """Key that embeddings are sealed under, 32 bytes."""
         return self._derived(b"veilcam embedding sealing 1")

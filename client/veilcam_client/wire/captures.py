@@ -33,11 +33,11 @@ class ClassificationRequest(Question):
 class Embedding(PicturedArray):
     """The binned sensor measurement; ``np.asarray`` gives it as float32 of ``shape``.
 
-    Unit of the form ``raw``: irradiance relative to what an all-white scene of the same size gives
-    at the centre of the sensor without a mask. ``white`` has none.
+    Unit: irradiance relative to what an all-white scene of the same size gives at the centre of the
+    sensor without a mask.
     """
 
-    form: Literal["white", "raw"]
+    form: Literal["raw"]
     """Form in which it left the camera."""
     shape: tuple[int, ...]
     """Rows and columns, or channels before them."""
@@ -58,19 +58,17 @@ class Embedding(PicturedArray):
     def __hash__(self) -> int:
         return hash(self._identity())
 
-    def _identity(self) -> tuple[str, tuple[int, ...], bytes]:
-        return self.form, self.shape, self.values.tobytes()
+    def _identity(self) -> tuple[tuple[int, ...], bytes]:
+        return self.shape, self.values.tobytes()
 
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""
         return self.values.reshape(self.shape)
 
     @classmethod
-    def from_array(
-        cls, values: npt.NDArray[np.float32], *, form: Literal["white", "raw"]
-    ) -> Embedding:
+    def from_array(cls, values: npt.NDArray[np.float32]) -> Embedding:
         """Take the values of an array of any shape."""
-        return cls(form=form, shape=tuple(values.shape), values=values.ravel())
+        return cls(form="raw", shape=tuple(values.shape), values=values.ravel())
 
 
 class SealedEmbedding(ArrayAnswer):
@@ -235,10 +233,10 @@ class Classification(ArrayAnswer):
     label: str
     """Most probable label."""
     confidence: float | None = None
-    """Probability of ``label``, in [0, 1]; None without a scope for scores."""
+    """Probability of ``label``, in [0, 1]; as of :attr:`scores`."""
     scores: Mapping[str, float] | None = None
-    """Probability of every label, in [0, 1]; None without a scope for scores. With the
-    scope ``read:scores:rounded`` in tenths; with ``read:scores`` they sum to 1."""
+    """Probability of every label, in [0, 1]; None without the scope ``read:scores``. In tenths, or
+    in full where the daemon was started with ``--full-scores``."""
     embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
     replay: Replay | None = None

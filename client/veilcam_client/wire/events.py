@@ -101,8 +101,7 @@ class Seen(_Event):
     label: str
     """Label of the object."""
     confidence: float | None = None
-    """Probability of the label, in [0, 1]; None without a scope for scores, and in tenths with
-    ``read:scores:rounded``."""
+    """Probability of the label, in [0, 1]; as of :class:`Classification`."""
     duration_s: float
     """Time since the first capture that told of it [s]."""
 

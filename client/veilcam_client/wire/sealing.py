@@ -16,11 +16,10 @@ from veilcam_client.wire.base import (
     Question,
 )
 
-Form = Literal["sealed", "white", "raw"]
-"""How an embedding leaves: ``sealed`` to the camera's receivers; ``white``, decorrelated, turned in
-secret and of length 1; ``raw`` as it was read."""
+Form = Literal["sealed", "raw"]
+"""How an embedding leaves: ``sealed`` to the camera's receivers, or ``raw``, as it was read."""
 
-Release = Literal["none", "sealed", "white", "raw"]
+Release = Literal["none", "sealed", "raw"]
 """The form in which a daemon lets embeddings out; ``none``: not at all."""
 
 ENVELOPE_VERSION: Literal[1] = 1

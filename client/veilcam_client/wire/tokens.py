@@ -12,7 +12,6 @@ from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
 Scope = Literal[
     "read:status",
     "classify",
-    "read:scores:rounded",
     "read:scores",
     "read:embedding",
     "read:embedding:raw",

@@ -115,8 +115,7 @@ class Belief(Answer):
     label: str | None
     """None: nothing that it knows."""
     confidence: float | None = None
-    """Probability of that, in [0, 1]; None without a scope for scores, and in tenths with
-    ``read:scores:rounded``."""
+    """Probability of that, in [0, 1]; as of :class:`Classification`."""
     since: datetime
     """Start of that belief."""
     duration_s: float

@@ -51,7 +51,7 @@ _HEADERS: Mapping[str, tuple[str, str]] = {
     "Veilcam-Epoch": ("Its `epoch`.", "9f86d081884c7d65"),
     "Veilcam-Number": ("Its `number`.", "0"),
     "Veilcam-Taken-At": ("Its `taken_at`.", "2026-01-02T03:04:05+00:00"),
-    "Veilcam-Form": ("In which form it left.", "white"),
+    "Veilcam-Form": ("In which form it left.", "raw"),
     "Veilcam-Replay": ("Its place in a recording, where it comes from one.", "7"),
     "Veilcam-Replay-Capture": ("Which capture that was.", "c0ffee00"),
 }

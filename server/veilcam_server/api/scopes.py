@@ -45,7 +45,7 @@ def requires(scope: Scope) -> Any:
 
 
 def scores_for(caller: Caller) -> Scores:
-    """Return the probabilities as a caller may see them."""
-    if caller.may("read:scores"):
-        return "all"
-    return "rounded" if caller.may("read:scores:rounded") else "none"
+    """Return how a caller may see probabilities."""
+    if not caller.may("read:scores"):
+        return "none"
+    return "all" if caller.full_scores else "tenths"

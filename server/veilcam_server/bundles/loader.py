@@ -96,24 +96,18 @@ def open_source(
     return load_pairs(bundle, wrong_classifier=settings.wrong_classifier)
 
 
-def release_terms(
-    settings: Settings, bundle: Bundle, receivers: ReceiverStore
-) -> Callable[[], Terms]:
+def release_terms(settings: Settings, receivers: ReceiverStore) -> Callable[[], Terms]:
     """Return what tells the terms of an epoch that is prepared now.
+
+    Unless it is said, embeddings leave sealed as soon as a receiver is paired, and else not at all.
 
     Args:
         settings: checked.
-        bundle: bundle that the daemon was started with; all others are of its mode.
         receivers: receivers of this device.
 
     Raises:
-        StartError: a form that the bundle does not have, or raw without a budget.
+        StartError: raw without a budget.
     """
-    if settings.release == "white" and not _has_white(bundle):
-        raise StartError(
-            "--release white needs a gray bundle of mode 'fresh', with scene statistics: use none, "
-            "sealed or raw"
-        )
     if settings.release == "raw" and settings.raw_budget < 1:
         raise StartError(
             "--release raw lets a mask be found out from what leaves behind it: say with "
@@ -122,25 +116,10 @@ def release_terms(
 
     def terms() -> Terms:
         keys = receivers.keys
-        return Terms(_form(settings, bundle, paired=bool(keys) or receivers.lost), keys)
+        default: Release = "sealed" if keys or receivers.lost else "none"
+        return Terms(settings.release or default, keys)
 
     return terms
-
-
-def _form(settings: Settings, bundle: Bundle, *, paired: bool) -> Release:
-    """Choose, unless it is said, the form that tells least of all that let anything out.
-
-    White embeddings of fresh masks tell nothing; those of stored pairs have no such form.
-    """
-    if settings.release is not None:
-        return settings.release
-    if paired:
-        return "sealed"
-    return "white" if _has_white(bundle) else "none"
-
-
-def _has_white(bundle: Bundle) -> bool:
-    return bundle.mode == "fresh" and bundle.channels == 1
 
 
 def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:

@@ -1,9 +1,9 @@
 """Budget of embeddings that may leave behind one mask over its whole life.
 
-What is sealed is for its receivers, who have the mask anyway. Of what leaves in the clear, several
-behind one mask give the mask away: one white embedding may leave, and as many raw ones as the
-operator says. For stored masks, which come again, the number is made durable before an embedding
-leaves; a mask that is drawn for one showing takes its number along.
+What is sealed is for its receivers, who have the mask anyway. Several raw embeddings behind one
+mask give it away, so as many leave as the operator says. For stored masks, which come again, the
+number is made durable before an embedding leaves; a mask that is drawn for one showing takes its
+number along.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ReleaseBudget:
     def __init__(self, directory: Path, raw: int, report: Report = log_fault) -> None:
         if raw < 0:
             raise ValueError(f"raw = {raw} is not valid: use 0 or more")
-        self._limits: dict[Release, float] = {"sealed": math.inf, "white": 1, "raw": raw}
+        self._limits: dict[Release, float] = {"sealed": math.inf, "raw": raw}
         self._file = StateStore(
             directory / NAME,
             _Released,

@@ -259,10 +259,8 @@ class MaskedCapture:
 
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:
         """Return the embedding in its form."""
-        if self.form == "white":
-            return Embedding.from_array(self.reader.whiten(self.measurement), form="white")
         if self.form == "raw":
-            return Embedding.from_array(self.measurement, form="raw")
+            return Embedding.from_array(self.measurement)
         sealer = self.active.sealer
         if self.form is None or sealer is None:
             raise ValueError("nothing was to leave of this capture")

@@ -207,7 +207,7 @@ class Preparation:
         key = EpochKey.generate(device=self._signer.public, bundle=source.bundle)
         try:
             with ExitStack() as undo:
-                mask = source.make(key, terms.form, self._avoided(source, terms.form))
+                mask = source.make(key, self._avoided(source, terms.form))
                 undo.callback(mask.erase)
                 commitment = mask_commitment(key, mask.levels)
                 sealer = self._sealer(key, name, source.bundle, terms)

@@ -11,11 +11,9 @@ import numpy.typing as npt
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.captures import Prediction
-from veilcam_client.wire.sealing import Release
 from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.decoding import Decoder, Precision
-from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import KEY_BYTES, draw_levels
 from veilcam_server.devices.base import Levels, Measurement
@@ -33,8 +31,6 @@ class FreshReader:
 
     classifier: Classifier = field(repr=False)
     decoder: Decoder[Values] = field(repr=False)
-    whitening: Whitening[Values] | None = field(repr=False)
-    """Made only where embeddings leave white: it takes longer than the decoder."""
     transmittance: float = field(repr=False)
     """Mean of the mask's, which is not 0."""
 
@@ -68,17 +64,9 @@ class FreshReader:
         inputs = classifier_inputs(self.decoder, measurements)
         return inputs.astype(np.float32)  # as it was fitted
 
-    def whiten(self, measurement: Measurement) -> Measurement:
-        """Return the direction of one embedding, of the same shape and of length 1."""
-        if self.whitening is None:
-            raise ValueError("nothing was prepared to whiten with: make the mask for white")
-        return self.whitening.whiten(measurement[None]).reshape(measurement.shape)
-
     def erase(self) -> None:
-        """Overwrite decoder and whitening: behind this mask nothing is read any more."""
+        """Overwrite the decoder: behind this mask nothing is read any more."""
         self.decoder.erase()
-        if self.whitening is not None:
-            self.whitening.erase()
 
 
 def _moved(inputs: Values, shape: tuple[int, int]) -> list[Values]:
@@ -125,8 +113,7 @@ class FreshSource:
             bundle.fresh.layers, bundle.fresh.weights, labels=bundle.labels, inputs=bundle.inputs
         )
         try:
-            # Whitening divides by the noise: of products in float32 it would leave five digits, and
-            # other ones with every library. In float64 a mask takes a tenth longer.
+            # In float32 the novelty would differ with the library; a mask takes a tenth longer.
             self._decoding = self._frame.decoding(precision=Precision.DOUBLE)
             # A mask that is never shown: what cannot be decoded is found now, and not on the way.
             self._prepare(self._levels(bytes(KEY_BYTES)))
@@ -143,18 +130,17 @@ class FreshSource:
         """None: no mask comes twice."""
         return frozenset()
 
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - none comes twice
+    def make(self, key: EpochKey, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - none comes twice
         """Draw the mask of an epoch and prepare what reads behind it."""
-        drawn, turned = key.levels(), key.rotation()
+        drawn = key.levels()
         try:
             levels = self._levels(drawn)
             read = self._levels(secrets.token_bytes(KEY_BYTES)) if self._wrong else levels
             decoder = self._prepare(read)
-            whitening = Whitening(decoder, turned) if form == "white" else None
         finally:
-            drawn[:] = turned[:] = bytes(KEY_BYTES)
+            drawn[:] = bytes(KEY_BYTES)
         passes = transmittance(levels, self._camera.panel.levels)
-        return Mask(levels, FreshReader(self._classifier, decoder, whitening, passes))
+        return Mask(levels, FreshReader(self._classifier, decoder, passes))
 
     def _levels(self, key: bytes | bytearray) -> Levels:
         return draw_levels(key, camera=self._camera, distribution=self._fresh.distribution)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.captures import Prediction
-from veilcam_client.wire.sealing import Release
 from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
@@ -21,7 +20,7 @@ _MARKS = b"veilcam stored masks, marks, version 1"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairReader:
-    """The classifier that was trained for one mask; it cannot whiten."""
+    """The classifier that was trained for one mask."""
 
     classifier: Classifier = field(repr=False)
     transmittance: float = field(repr=False)
@@ -39,10 +38,6 @@ class PairReader:
             light=float(measurement.mean()) / self.transmittance,
             novelty=None,
         )
-
-    def whiten(self, measurement: Measurement) -> Measurement:  # noqa: ARG002 - it cannot
-        """Refused: there are no scene statistics."""
-        raise ValueError("a pair has no scene statistics to whiten with: use sealed or raw")
 
     def erase(self) -> None:
         """Nothing: all of it stands in the bundle."""
@@ -72,7 +67,7 @@ class PairSource:
         """Return the levels of all pairs."""
         return frozenset(mask.mark for mask in self._masks)
 
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - chance decides
+    def make(self, key: EpochKey, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - chance decides
         """Return any pair but those to avoid, or any at all if no other is left."""
         others = [mask for mask in self._masks if mask.mark not in avoid]
         return self._random.choice(others or self._masks)

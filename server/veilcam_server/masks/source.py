@@ -49,9 +49,6 @@ class Reader(Protocol):
     def evidence(self, measurement: Measurement) -> Evidence:
         """Return what one embedding tells beside its label."""
 
-    def whiten(self, measurement: Measurement) -> Measurement:
-        """Return one embedding as a direction alone; only if it was made to."""
-
     def erase(self) -> None:
         """Overwrite what belongs to the mask alone, as well as Python lets us."""
 
@@ -101,11 +98,10 @@ class MaskSource(Protocol):
     def marks(self) -> frozenset[str]:
         """Return the levels of all stored masks; none where every mask is new."""
 
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+    def make(self, key: EpochKey, avoid: frozenset[str]) -> Mask:
         """Return the mask of an epoch; takes its time, on a thread of its own.
 
         Args:
             key: key of the epoch, which is erased afterwards.
-            form: form in which embeddings leave.
             avoid: marks of masks that are not returned if there are others.
         """

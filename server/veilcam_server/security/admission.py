@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import structlog
 from pydantic import JsonValue
@@ -53,6 +53,7 @@ class Admission:
         lease: lease of the camera.
         settings: settings of the daemon, for its diagnostics: without paths, addresses and labels.
         sessions: sessions of pages in browsers; None where no tokens are wanted, and in tests.
+        full_scores: True where scores are told in full, and not in tenths.
     """
 
     tokens: TokenStore | None = None
@@ -72,6 +73,7 @@ class Admission:
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
     sessions: SessionStore | None = None
+    full_scores: bool = False
 
     def require_log(self) -> None:
         """Raise :class:`StorageError` while what callers do cannot be written down."""
@@ -121,7 +123,7 @@ class Admission:
             ProblemError: too often, or too many at once.
             StorageError: the tokens cannot be read.
         """
-        caller = self._caller(headers, peer)
+        caller = replace(self._caller(headers, peer), full_scores=self.full_scores)
         self.rate.take(caller.id)
         with self.concurrency.held(caller.id):
             yield caller
@@ -183,4 +185,5 @@ def open_admission(
         ConcurrencyLimit(settings.caller_streams, STREAMS_OF_ONE),
         settings=settings.redacted(),
         sessions=sessions,
+        full_scores=settings.full_scores,
     )

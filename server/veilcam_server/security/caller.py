@@ -17,12 +17,14 @@ class Caller:
         label: label of the token, for people.
         scopes: scopes of the caller.
         expires: end of the token, seconds since 1970; None: never.
+        full_scores: True where the daemon tells scores in full, and not in tenths.
     """
 
     id: str
     label: str
     scopes: frozenset[str]
     expires: float | None = None
+    full_scores: bool = False
 
     def may(self, scope: Scope) -> bool:
         """Return whether the caller has this scope."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
@@ -42,6 +42,13 @@ class _Row(BaseModel):
     revoked: float | None = None
     used: str | None = None
     digest: str
+
+    @field_validator("scopes")
+    @classmethod
+    def _one_scope_of_scores(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:
+        """Read a scope that is gone as what it allowed: scores in tenths."""
+        now = ("read:scores" if each == "read:scores:rounded" else each for each in scopes)
+        return tuple(dict.fromkeys(now))
 
     @property
     def ended(self) -> float:

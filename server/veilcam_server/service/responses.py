@@ -22,7 +22,7 @@ from veilcam_server.camera.capture import Captured, Provenance
 
 AGE_STEP = 60
 """Step of the age of a self test in the log [s]: when light ended one early is not told."""
-Scores = Literal["none", "rounded", "all"]
+Scores = Literal["none", "tenths", "all"]
 """What is told of a label's probability: nothing, tenths, or all of it."""
 
 

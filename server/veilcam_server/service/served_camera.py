@@ -82,7 +82,7 @@ class ServedCamera:
         """
         bundle = read_bundle(settings.bundle)
         key, report = state.key, state.report
-        terms = release_terms(settings, bundle, state.receivers)
+        terms = release_terms(settings, state.receivers)
         budget = ReleaseBudget(state.directory, settings.raw_budget, report)
         signed = open_calibration(settings, bundle, key, report)
         opener = Opener(

@@ -44,7 +44,7 @@ _TRANSMITTANCE = 1 / 3
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Thresholds of captures of a known thing: least light, and largest novelty.
+    """Thresholds of captures of a known thing, and of its report.
 
     The defaults are those of the simulated camera; docs/watch.md has their measurements.
 
@@ -56,9 +56,11 @@ class Thresholds:
     """Least :attr:`Evidence.light`."""
     most_novelty: float = 7.0
     """Largest :attr:`Evidence.novelty`, which a bundle without scene statistics does not have."""
+    seen: float = 0.6
+    """Probability from which a thing is reported as seen."""
 
     def __post_init__(self) -> None:
-        for name in ("least_light", "most_novelty"):
+        for name in ("least_light", "most_novelty", "seen"):
             threshold = getattr(self, name)
             if not (math.isfinite(threshold) and threshold > 0):
                 raise ValueError(f"{name} = {threshold} is not valid: use a number > 0")

@@ -12,8 +12,8 @@ import numpy as np
 from veilcam_server.masks.source import Evidence
 from veilcam_server.watch.belief import FRESH, PAIRS, Dynamics, Probabilities, Thresholds, fuse
 
-SEEN, GONE = 0.6, 0.05
-"""Probability from which a thing is reported as seen, and below which it is reported as gone."""
+GONE = 0.05
+"""Probability below which a thing is reported as gone."""
 _HINT = 0.2
 """Probability from which the time of a thing's first capture is remembered."""
 
@@ -69,15 +69,16 @@ class Sightings:
 
     Args:
         length: number of sights in the history.
+        seen: probability from which a thing is reported as seen.
     """
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, seen: float) -> None:
         self.leader: Leader | None = None
         """Most probable state; None where the camera does not look."""
         self._there: Sight | None = None
         self._hints: dict[str | None, _Hint] = {}
         self._past: deque[Sight] = deque(maxlen=length)
-        self._length = length
+        self._length, self._seen = length, seen
 
     @property
     def history(self) -> tuple[Sight, ...]:
@@ -113,7 +114,7 @@ class Sightings:
                 changes.append(self._end(there, hint.since, left))
             else:
                 self._there = replace(there, confidence=max(there.confidence, 1 - left))
-        if self._there is None and label is not None and confidence >= SEEN:
+        if self._there is None and label is not None and confidence >= self._seen:
             self._there = Sight(label, confidence, hint.since)
             changes.append(Change("seen", label, confidence, at - hint.since))
         return changes
@@ -133,14 +134,14 @@ class Fusion:
     """Fusion of captures, one after the other, into a belief and its changes.
 
     Args:
-        thresholds: thresholds of captures of a thing.
+        thresholds: thresholds of captures of a thing, and of its report.
         dynamics: rates at which things come and go.
         length: number of sights in the history.
     """
 
     def __init__(self, thresholds: Thresholds, dynamics: Dynamics, length: int) -> None:
         self._thresholds, self._dynamics = thresholds, dynamics
-        self._sightings = Sightings(length)
+        self._sightings = Sightings(length, thresholds.seen)
         self._belief: Probabilities | None = None
         self._labels: tuple[str, ...] = ()
         self._last = 0.0

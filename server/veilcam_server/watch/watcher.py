@@ -104,7 +104,7 @@ def open_watch(
         report: function that takes damage of the state directory.
     """
     store = WatchStore(settings.state_dir, settings.watch_policy, report)
-    policy, thresholds = store.at_start(), Thresholds()
+    policy, thresholds = store.at_start(), Thresholds(seen=settings.watch_threshold)
     # A simulated camera has nothing to hide.
     clock = MachineClock(trusted=settings.trust_clock or settings.device == "simulated")
     return WatchSetup(

@@ -92,7 +92,6 @@ def test_bundle_that_is_bad_is_refused(
     [
         (1, {"rotation": {"mode": "captures", "captures": 3}}, "one pair only"),
         (1, {"wrong_classifier": True}, "two or more pairs"),
-        (3, {"release": "white"}, "--release white needs a gray bundle of mode .fresh."),
         (3, {"release": "raw"}, "say with --raw-budget N how many"),
         (3, {"panel": "NONE"}, "--panel NONE has no driver: use ST7735R"),
     ],

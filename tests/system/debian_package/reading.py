@@ -37,11 +37,11 @@ def masks(bundle: Bundle) -> list[Mask]:
     """Return masks that are the same in every run, of stored ones the first of the bundle."""
     if bundle.fresh is not None:
         fresh = FreshSource(bundle)
-        return [fresh.make(key(number, bundle), "none", frozenset()) for number in range(MASKS)]
+        return [fresh.make(key(number, bundle), frozenset()) for number in range(MASKS)]
     source, found = load_pairs(bundle), dict[bytes, Mask]()
     while len(found) < len(source.marks):
         known = frozenset(mask.mark for mask in found.values())
-        mask = source.make(key(0, bundle), "none", known)
+        mask = source.make(key(0, bundle), known)
         found[mask.levels.tobytes()] = mask
     return [found[pair.levels.tobytes()] for pair in bundle.pairs[:MASKS]]
 

@@ -16,7 +16,7 @@ AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 STATUS: dict[str, Any] = {
     **json.loads(example_status().model_dump_json()),
     "captures": 0,
-    "release": "white",
+    "release": "raw",
     "receivers": [],
 }
 STATUS["bundle"] = {**STATUS["bundle"], "mode": "fresh", "pairs": 0, "card": None}
@@ -29,7 +29,7 @@ def answer(number: int) -> dict[str, Any]:
         "number": 0,
         "taken_at": (AT + timedelta(seconds=number)).isoformat(),
         "embedding": {
-            "form": "white",
+            "form": "raw",
             "shape": [2, 3],
             "values": [number + k / 8 for k in range(6)],
         },

@@ -129,8 +129,7 @@ def test_sealed_measurement_is_opened_and_a_fresh_masks_key_is_kept(path: Path, 
 @pytest.mark.parametrize(
     ("release", "mode", "why"),
     [
-        ("none", "pairs", "leave none, which no classifier reads: pair a receiver"),
-        ("white", "fresh", "leave white, which no classifier reads: pair a receiver"),
+        ("none", "pairs", "no embeddings leave this camera: pair a receiver"),
         ("sealed", "pairs", "leave sealed: pair a receiver"),
         ("raw", "fresh", "does not say which fresh mask"),
     ],

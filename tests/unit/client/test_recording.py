@@ -106,8 +106,7 @@ def no_captures(lines: list[Line]) -> None:
     del lines[1:]
 
 
-SMALL = {"form": "white", "shape": [1, 1], "values": [1.0]}
-RAW = {**answer(1)["embedding"], "form": "raw"}
+SMALL = {"form": "raw", "shape": [1, 1], "values": [1.0]}
 
 
 @pytest.mark.parametrize(
@@ -116,7 +115,7 @@ RAW = {**answer(1)["embedding"], "form": "raw"}
         ({"epoch": 7}, "line 3: this is no capture"),
         ({"replay": {"capture": "1", "place": 0}}, "line 3: this was itself replayed"),
         ({"embedding": SMALL}, "line 3: this is of another camera"),
-        ({"embedding": RAW}, "line 3: this is raw, and the others are white"),
+        ({"embedding": {**SMALL, "form": "white"}}, "line 3: this is no capture"),
         (
             lambda lines: lines[2].update(verdict={**VERDICT, "label": "cat"}),
             "line 3: this label is not one of the camera's",

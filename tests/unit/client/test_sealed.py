@@ -61,7 +61,7 @@ async def test_capture_that_comes_twice_or_of_another_camera_is_refused(
 async def test_unsealed_embedding_is_refused_where_a_key_was_given(
     kind: type, receiver: ReceiverKey, tmp_path: Path
 ) -> None:
-    with pytest.raises(SealedError, match="came white where a sealed one was expected"):
+    with pytest.raises(SealedError, match="came raw where a sealed one was expected"):
         await result(camera_of(kind, Daemon(), key=receiver).capture())
     with pytest.raises(FileError, match="cannot be read"):
         kind(key=tmp_path / "missing")

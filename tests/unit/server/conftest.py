@@ -388,9 +388,9 @@ def fresh_bundle() -> Bundle:
 
 @pytest.fixture
 def fresh_bench(fresh_bundle: Bundle, tmp_path: Path) -> Bench:
-    """A bench whose masks are drawn from a key, and whose embeddings leave white."""
+    """A bench whose masks are drawn from a key: one embedding leaves raw behind each."""
     source = FreshSource(fresh_bundle)
-    return Bench(fresh_bundle, tmp_path / "state", source, release="white")
+    return Bench(fresh_bundle, tmp_path / "state", source, raw_budget=1)
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 Two things help them. What is known of the mask itself: similar captures show similar things (ridge
 regression on kernels, neighbours, a network fitted to the few). And what is public: the attacker
 puts the same known pictures behind masks of their own, and learns what the angles between a
-capture and the known ones tell. A rotation, as that of ``white``, changes no angle.
+capture and the known ones tell.
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Literal, Protocol
 
@@ -316,35 +315,3 @@ def inputs(vectors: Tensor, scale: float) -> Tensor:
     """Return the inputs of networks: values over scale, and squares, (count, 2, pixels)."""
     values = vectors * scale
     return torch.stack([values, values.square() - 1], dim=1)
-
-
-def attackers(family: Family, shape: tuple[int, int] | None, epochs: int) -> list[Attacker]:
-    """All members of a family.
-
-    Args:
-        family: family of attackers.
-        shape: rows and columns of an embedding; None: what leaves is no picture, e.g. ciphertext.
-        epochs: most that a network is fitted for.
-    """
-    if family == "length":
-        # Of equals the first is taken: the smoothest.
-        smooth: list[Attacker] = [partial(by_length_density, width=w) for w in (0.3, 0.2, 0.1)]
-        return [*smooth, *(partial(by_length, bins=bins) for bins in (8, 32, 128))]
-    if family == "products":
-        neighbours: list[Attacker] = [
-            partial(by_neighbours, count=count, distances=distances)
-            for distances in (False, True)
-            for count in (1, 10, 100)
-        ]
-        return [by_means, *neighbours]
-    builds: list[Build] = [linear, perceptron]
-    if shape is not None:
-        builds.append(partial(convolutions, shape))
-    return [
-        partial(by_network, build=build, trial=trial, epochs=epochs)
-        for build in builds
-        for trial in TRIALS
-    ]
-
-
-FAMILIES: tuple[Family, ...] = ("length", "products", "networks")

@@ -109,7 +109,7 @@ def independent(sets: Tensor, *, components: int = 12, steps: int = 50) -> Tenso
 def gram(sets: Tensor, *, neighbours: int = 64) -> Tensor:
     """Cosines of each capture with the others of its set, the largest first: angles alone.
 
-    A rotation of the pixels, as that of ``white``, changes none of them.
+    A rotation of the pixels changes none of them.
 
     Args:
         sets: (sets, captures, pixels).

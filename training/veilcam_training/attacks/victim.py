@@ -9,7 +9,6 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -21,11 +20,10 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import quantise, random_mask, to_weights
 from veilcam_optics.decoding import Decoder, SceneDecoding
-from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.errors import TrainingError, require
+from veilcam_training.errors import require
 
 SNR_DB = 40.0
 """Noise of a measurement, as the daemon's simulated camera has it."""
@@ -89,20 +87,9 @@ class VictimMask:
     decoder: Decoder | None = field(repr=False)
     """None where the camera knows no scene statistics."""
     key: bytes = field(repr=False)
-    """Of this epoch alone: it seals, and turns white embeddings."""
+    """Of this epoch alone: it seals."""
     numbers: Iterator[int] = field(default_factory=itertools.count, repr=False, compare=False)
     """Of captures in this epoch that are yet to be sealed: none is sealed under a number twice."""
-
-    @cached_property
-    def whitening(self) -> Whitening:
-        """Release of measurements as white embeddings.
-
-        Raises:
-            TrainingError: a camera without scene statistics cannot whiten.
-        """
-        if self.decoder is None:
-            raise TrainingError("a camera without scene statistics cannot whiten: use raw, sealed")
-        return Whitening(self.decoder, self.key)
 
 
 ReleaseRule = Callable[[VictimMask, Tensor], Tensor]
@@ -117,11 +104,6 @@ def raw(mask: VictimMask, measurements: Tensor) -> Tensor:
     """Measurements as they were read."""
     del mask
     return measurements
-
-
-def white(mask: VictimMask, measurements: Tensor) -> Tensor:
-    """Directions alone, of length 1, turned by the key of the mask."""
-    return mask.whitening.whiten(measurements)
 
 
 def sealed(mask: VictimMask, measurements: Tensor) -> Tensor:
@@ -163,7 +145,7 @@ def _nonce(number: int) -> bytes:
     return number.to_bytes(12, "little")
 
 
-FORMS: dict[str, ReleaseRule] = {"raw": raw, "white": white, "sealed": sealed}
+FORMS: dict[str, ReleaseRule] = {"raw": raw, "sealed": sealed}
 
 
 @dataclass(frozen=True)
@@ -185,7 +167,7 @@ class Victim:
         light: transfer operator of the camera as it is.
         source: source of masks.
         release: form in which an embedding leaves.
-        decoding: decoding with the camera's knowledge of scenes, to whiten with; None: none.
+        decoding: decoding with the camera's knowledge of scenes; None: none.
         snr_db: signal-to-noise ratio of a measurement [dB].
         generator: generator of masks, keys and noise.
         prepared: transfer and decoder of stored masks by their place: cameras with the same masks

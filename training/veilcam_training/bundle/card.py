@@ -64,7 +64,7 @@ class PrivacyCard(BaseModel, frozen=True, extra="forbid", strict=True):
     """Of the bundle, see :func:`subject_of`."""
     mode: Name
     """``fresh``, ``random`` or ``pairs`` and their number: the masks that were attacked."""
-    form: Name
+    form: Annotated[str, Field(pattern=r"^(sealed|raw)$")]
     """In which embeddings left."""
     quick: bool
     """Few masks and light attackers: a look, not a proof."""

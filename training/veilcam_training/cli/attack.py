@@ -52,7 +52,7 @@ def report(
     ] = None,
     form: Annotated[
         str | None,
-        typer.Option("--form", help="raw, white or sealed; white of fresh masks, raw of others."),
+        typer.Option("--form", help="raw or sealed; sealed of fresh masks, raw of others."),
     ] = None,
     faces: Annotated[
         Path | None,

@@ -74,8 +74,7 @@ export const THREATS = {
 export const SCOPES = {
   "read:status": "state, events, health",
   classify: "labels",
-  "read:scores:rounded": "confidence, in tenths",
-  "read:scores": "confidence, in full",
+  "read:scores": "confidence, in tenths",
   "read:embedding": "embeddings, as they leave",
   "read:embedding:raw": "embeddings that leave raw",
   "read:log": "the log: what left, and who changed what",
@@ -91,7 +90,6 @@ export const SCOPES = {
 export const RELEASES = {
   none: "Embeddings stay in the camera: labels alone leave.",
   sealed: "Embeddings leave sealed: only the receivers below can open them.",
-  white: "Embeddings leave decorrelated and turned in secret, one behind each mask.",
   raw: "Embeddings leave as they were read. Who knows the mask can compute a picture from them.",
 };
 

@@ -97,7 +97,7 @@ async def classify(
 ) -> Classification:
     """Take one embedding and classify it with what reads behind its own mask.
 
-    Scores are told for `read:scores`, and in tenths for `read:scores:rounded`.
+    Scores are told for `read:scores`, in tenths unless the daemon tells them in full.
     """
     include_embedding = question is not None and question.include_embedding
     if include_embedding:

@@ -1,4 +1,4 @@
-"""Decoding and whitening in NumPy and in torch: one formula, so one result but for rounding."""
+"""Decoding in NumPy and in torch: one formula, so one result but for rounding."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from veilcam_optics.decoding import (
     SceneStatistics,
     fit_statistics,
 )
-from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.transfer.operator import TransferOperator
@@ -160,38 +159,6 @@ def test_single_precision_is_as_good_in_numpy(seed: int, precision: Precision) -
     assert max(np.abs(each - truth).max() for each in found) <= allowed
 
 
-@pytest.mark.parametrize("seed", range(JOBS))
-def test_numpy_and_torch_release_the_same(seed: int) -> None:
-    job = draw(seed)
-    torch_s, numpy_s = job.prepared()
-    white = Whitening(torch_s, KEY).whiten(job.measurements)
-    found = Whitening(numpy_s, KEY).whiten(job.measurements.numpy())
-    assert found.dtype == np.float32
-    # Directions are float32; before, they are off by as much as the whitened measurement.
-    allowed = 2.0**-24 + 100 * 30 * UNIT * condition(torch_s)
-    assert np.abs(found - white.numpy()).max() <= 2 * allowed
-
-
-def test_rotation_is_the_same_bit_by_bit() -> None:
-    torch_s, numpy_s = draw(1).prepared()
-    found, wanted = Whitening(numpy_s, KEY)._rotation, Whitening(torch_s, KEY)._rotation
-    assert np.array_equal(found, wanted.numpy())
-
-
-def test_measurement_without_a_direction_gets_one_in_numpy() -> None:
-    _, decoder = draw(2).prepared()
-    size = len(decoder.noise)
-    assert size > 3
-    whitening = Whitening(decoder, KEY)
-    seen = np.ones((4, size))
-    seen[1, 2], seen[2, 0], seen[3] = np.nan, np.inf, decoder.mean_measurement
-    once, again = whitening.whiten(seen), whitening.whiten(seen)
-    assert np.abs(np.linalg.norm(once.astype(float), axis=1) - 1).max() <= 2.0**-23
-    assert np.allclose(once[0], whitening.whiten(seen[:1])[0], atol=1e-6)
-    for row in (1, 2, 3):
-        assert not np.allclose(once[row], again[row], atol=1e-3)
-
-
 @pytest.mark.parametrize("precision", list(Precision))
 def test_numpy_overwrites_what_is_erased(
     precision: Precision, monkeypatch: pytest.MonkeyPatch
@@ -207,11 +174,6 @@ def test_numpy_overwrites_what_is_erased(
     decoder = job.in_numpy.prepare(job.mask.numpy())
     assert len(made) == 1
     assert not made[0].any()
-    whitening = Whitening(decoder, KEY)
-    own = (whitening._factor, whitening._rotation, whitening._mean, whitening._deviation)
-    assert all(array.any() for array in own)
-    whitening.erase()
-    assert not any(array.any() for array in own)
     secret = ("mean_measurement", "estimator", "noise", "response")
     assert all(getattr(decoder, name).any() for name in secret)
     decoder.erase()
@@ -254,7 +216,6 @@ sys.meta_path.insert(0, NotInstalled())
 import numpy as np
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.decoding import Precision, SceneDecoding, SceneStatistics
-from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.transfer.product import Transfer
 
@@ -269,7 +230,6 @@ np.savez(
     sys.argv[2],
     transfer=transfer(mask),
     estimate=decoder(seen),
-    white=Whitening(decoder, key).whiten(seen),
 )
 """
 
@@ -290,7 +250,6 @@ def test_device_without_torch_does_what_training_does(tmp_path: Path) -> None:
     wanted = {
         "transfer": operator(mask),
         "estimate": decoder(seen),
-        "white": Whitening(decoder, KEY).whiten(seen),
     }
     known = decoding.statistics
     held = {

@@ -48,12 +48,12 @@ def test_sealed_embeddings_leave_without_end_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_one_white_embedding_leaves_behind_a_mask(tmp_path: Path) -> None:
-    budget, mask, other = ReleaseBudget(tmp_path, 5), drawn(), drawn()
-    assert not budget.is_spent(mask, "white")
-    budget.spend(mask, "white")
-    assert budget.is_spent(mask, "white")
-    assert not budget.is_spent(other, "white")
+def test_budget_of_a_drawn_mask_is_its_own(tmp_path: Path) -> None:
+    budget, mask, other = ReleaseBudget(tmp_path, 1), drawn(), drawn()
+    assert not budget.is_spent(mask, "raw")
+    budget.spend(mask, "raw")
+    assert budget.is_spent(mask, "raw")
+    assert not budget.is_spent(other, "raw")
     assert not list(tmp_path.iterdir())  # it never comes again
 
 

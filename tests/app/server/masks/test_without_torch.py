@@ -37,7 +37,6 @@ def test_device_reads_frames_behind_masks_of_the_bundles_that_come_along(mode: s
     taken = json.loads(run("-m", "benchmarks.deploy.device_path", mode))
     assert len(taken["labels"]) == 5
     assert set(taken["labels"]) <= set(range(10))
-    assert taken["white"] == pytest.approx(1 if mode == "fresh" else 0, abs=1e-6)
     # Torch alone takes 218 MiB: no room for it, whatever the machine.
     assert taken["peak_mib"] < 200
 

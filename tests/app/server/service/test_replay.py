@@ -109,7 +109,7 @@ async def test_status_never_says_ready(path: Path) -> None:
         assert status.device.display == "replay of ST7735R"
         assert status.device.sensor == "replay of IMX477"
         assert status.bundle == BundleInfo.model_validate_json(json.dumps(STATUS["bundle"]))
-        assert (status.release, status.raw_budget, status.receivers) == ("white", 0, ())
+        assert (status.release, status.raw_budget, status.receivers) == ("raw", 0, ())
         assert status.device.key == "d7" * 32
         assert status.rotation.epoch is None
         assert status.rotation.policy == RotationOff()
@@ -242,7 +242,7 @@ def test_recording_that_cannot_be_replayed_is_refused_at_the_start(path: Path) -
         ({"bundle": "a.veilcam"}, "--bundle"),
         ({"scenes": ("a.png",)}, "--scenes"),
         ({"rotation": {"mode": "off"}}, "--every-seconds, --every-captures and --rotation-off"),
-        ({"release": "white"}, "--release"),
+        ({"release": "raw"}, "--release"),
         ({"wrong_classifier": True}, "--wrong-classifier"),
         ({"panel_tab": "green"}, "--panel-tab"),
         ({"settle": 0.1}, "--settle"),

@@ -82,6 +82,7 @@ def test_labels_are_those_of_a_daemon_that_sees_the_files(
     assert told == predicted(path, *pictures)
     scenes = tuple(map(str, pictures))
     settings = {"bundle": path, "scenes": scenes, "snr_db": math.inf, "allow_visible": True}
+    settings["full_scores"] = True
     with FakeCamera(settings) as fake, fake.camera() as camera:
         seen = [camera.classify() for _ in pictures]
     sure = 0

@@ -196,7 +196,7 @@ def test_block_has_one_text(epoch: Epoch, receiver: ReceiverKey) -> None:
 
 def test_unsealed_embedding_is_refused_by_an_opener(epoch: Epoch, receiver: ReceiverKey) -> None:
     raw = epoch.capture(0).model_copy(
-        update={"embedding": Embedding.from_array(VALUES, form="raw"), "notes": NOTES}
+        update={"embedding": Embedding.from_array(VALUES), "notes": NOTES}
     )
     with pytest.raises(SealedError, match="came raw where a sealed one was expected"):
         Opener(receiver).open(raw)

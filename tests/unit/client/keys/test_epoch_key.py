@@ -16,7 +16,6 @@ from veilcam_client.keys.epoch_key import EpochKey
 VALUE, DEVICE, BUNDLE = bytes(range(32)), "d7" * 32, "0f" * 32
 USES = {
     "levels": b"veilcam mask levels 1",
-    "rotation": b"veilcam white rotation 1",
     "sealing": b"veilcam embedding sealing 1",
     "commitment": b"veilcam mask commitment 1",
 }

@@ -51,7 +51,7 @@ def test_array_without_a_copy_is_the_one_that_came(capture: Capture) -> None:
 
 
 def test_embedding_has_a_length_rows_and_an_index() -> None:
-    embedding = Embedding.from_array(VALUES, form="white")
+    embedding = Embedding.from_array(VALUES)
     assert len(embedding) == 3
     assert np.array_equal(embedding[1], VALUES[1])
     assert embedding[2, 3, 4] == VALUES[2, 3, 4]
@@ -62,7 +62,7 @@ def test_embedding_has_a_length_rows_and_an_index() -> None:
 
 
 def test_embeddings_are_equal_where_all_of_them_is() -> None:
-    embedding = Embedding.from_array(VALUES, form="white")
+    embedding = Embedding.from_array(VALUES)
     same = Embedding.model_validate_json(embedding.model_dump_json())
     assert embedding == same
     assert hash(embedding) == hash(same)
@@ -70,9 +70,8 @@ def test_embeddings_are_equal_where_all_of_them_is() -> None:
     changed = VALUES.copy()
     changed[2, 3, 4] = np.nextafter(changed[2, 3, 4], np.float32(9))
     for other in (
-        Embedding.from_array(VALUES, form="raw"),
-        Embedding.from_array(VALUES.reshape(4, 3, 5), form="white"),
-        Embedding.from_array(changed, form="white"),
+        Embedding.from_array(VALUES.reshape(4, 3, 5)),
+        Embedding.from_array(changed),
         "embedding",
     ):
         assert embedding != other
@@ -83,7 +82,7 @@ def test_answer_without_an_array_says_so() -> None:
     with pytest.raises(VeilcamError, match="ask with include_embedding=True") as caught:
         np.asarray(classification)
     assert caught.value.code == "no_embedding"
-    embedding = Embedding.from_array(VALUES, form="raw")
+    embedding = Embedding.from_array(VALUES)
     with_it = classification.model_copy(update={"embedding": embedding})
     assert np.array_equal(np.asarray(with_it), VALUES)
     with pytest.raises(TypeError, match="a Status is no array"):
@@ -203,7 +202,7 @@ def opened(png: bytes) -> npt.NDArray[np.uint8]:
 
 def test_picture_goes_from_black_to_white() -> None:
     values = np.linspace(-2, 5, 24 * 32, dtype=np.float32).reshape(24, 32)
-    embedding = Embedding.from_array(values, form="raw")
+    embedding = Embedding.from_array(values)
     pixels = opened(embedding._repr_png_())
     assert pixels.shape == (24 * 8, 32 * 8)
     expected = np.rint((values + 2.0) / 7 * 255)

@@ -22,6 +22,7 @@ from veilcam_client.wire.status import Status
 from veilcam_server.api.app import create_app
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import PROBLEMS
+from veilcam_server.security.admission import Admission
 
 if TYPE_CHECKING:
     import httpx
@@ -80,7 +81,7 @@ async def test_classification_is_what_the_pair_s_own_network_says(
 ) -> None:
     bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     labels = set()
-    async with running() as client:
+    async with running(admission=Admission(full_scores=True)) as client:
         for _ in range(6):
             answer = await client.post("/v1/classifications", json={"include_embedding": True})
             result = Classification.model_validate_json(answer.content)

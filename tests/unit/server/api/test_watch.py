@@ -158,13 +158,13 @@ async def test_while_the_camera_is_measured_it_cannot_be_switched(
 
 
 @pytest.mark.parametrize(
-    ("scopes", "label", "digits"),
+    ("scopes", "full", "label", "digits"),
     [
-        (("read:status",), False, None),
-        (("read:status", "read:scores"), False, None),
-        (("read:status", "classify"), True, None),
-        (("read:status", "classify", "read:scores:rounded"), True, 1),
-        (("read:status", "classify", "read:scores"), True, 17),
+        (("read:status",), True, False, None),
+        (("read:status", "read:scores"), True, False, None),
+        (("read:status", "classify"), True, True, None),
+        (("read:status", "classify", "read:scores"), False, True, 1),
+        (("read:status", "classify", "read:scores"), True, True, 17),
     ],
 )
 async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
@@ -172,6 +172,7 @@ async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
     bench: Bench,
     tmp_path: Path,
     scopes: tuple[Scope, ...],
+    full: bool,
     label: bool,
     digits: int | None,
 ) -> None:
@@ -180,14 +181,14 @@ async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
     store = TokenStore(tmp_path / "tokens")
     every = store.create("all", ("read:status", "classify", "read:scores"), None)
     some = store.create("some", scopes, None)
-    async with running(on=bench, admission=Admission(store)) as client:
+    async with running(on=bench, admission=Admission(store, full_scores=full)) as client:
         whole = await until_seen(sdk(client, every.secret))
         found = await sdk(client, some.secret).watch.get()
         assert await code(sdk(client, some.secret).watch.set(WatchOff())) == "forbidden"
     assert whole.belief is not None
     assert whole.history
     assert (found.belief is not None, bool(found.history)) == (label, label)
-    caller = Caller("some", "some", frozenset(scopes))
+    caller = Caller("some", "some", frozenset(scopes), full_scores=full)
     known: dict[str, Any] = {"id": "0-0", "at": EXAMPLE_TIME, "label": "a", "duration_s": 1.0}
     events = (
         Seen(confidence=0.987654321, **known),

@@ -18,30 +18,20 @@ from veilcam_training.bundle import Bundle
 
 
 @pytest.mark.parametrize(
-    ("mode", "given", "form", "paired"),
+    ("given", "form", "paired"),
     [
-        ("pairs", None, "none", "sealed"),
-        ("fresh", None, "white", "sealed"),
-        ("pairs", "raw", "raw", "raw"),
-        ("pairs", "sealed", "sealed", "sealed"),
-        ("fresh", "none", "none", "none"),
-        ("fresh", "white", "white", "white"),
+        (None, "none", "sealed"),
+        ("raw", "raw", "raw"),
+        ("sealed", "sealed", "sealed"),
+        ("none", "none", "none"),
     ],
 )
-def test_embeddings_leave_in_the_form_of_mode_setting_and_receivers(
-    bundle: Bundle,
-    fresh_bundle: Bundle,
-    tmp_path: Path,
-    *,
-    mode: str,
-    given: str | None,
-    form: str,
-    paired: str,
+def test_embeddings_leave_in_the_form_of_setting_and_receivers(
+    tmp_path: Path, given: str | None, form: str, paired: str
 ) -> None:
-    chosen = bundle if mode == "pairs" else fresh_bundle
     made = Settings.model_validate({"bundle": "x", "release": given, "raw_budget": 1})
     store = ReceiverStore(tmp_path)
-    terms = release_terms(made, chosen, store)
+    terms = release_terms(made, store)
     assert terms() == Terms(form)  # type: ignore[arg-type]
     receiver = ReceiverKey.generate().public
     added = store.add("archive", receiver)
@@ -50,14 +40,12 @@ def test_embeddings_leave_in_the_form_of_mode_setting_and_receivers(
     assert terms().form == form
 
 
-def test_embeddings_stay_sealed_where_the_receivers_are_lost(
-    fresh_bundle: Bundle, tmp_path: Path
-) -> None:
+def test_embeddings_stay_sealed_where_the_receivers_are_lost(tmp_path: Path) -> None:
     """A fault of the disk must not let them out in another form."""
     ReceiverStore(tmp_path).add("archive", ReceiverKey.generate().public)
     for end in ("", ".copy"):
         (tmp_path / f"receivers.json{end}").write_bytes(b"")
-    terms = release_terms(Settings(bundle=Path("x")), fresh_bundle, ReceiverStore(tmp_path))
+    terms = release_terms(Settings(bundle=Path("x")), ReceiverStore(tmp_path))
     assert terms() == Terms("sealed")
 
 

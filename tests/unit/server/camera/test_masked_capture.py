@@ -27,15 +27,6 @@ def captured(bench: Bench, form: Any, *, release: bool = True) -> MaskedCapture:
     return bench.camera(policy=PER_CAPTURE).capture(release=release)
 
 
-def test_white_is_a_direction_alone(fresh_bench: Bench) -> None:
-    embedding = captured(fresh_bench, "white").release(0.0)
-    assert isinstance(embedding, Embedding)
-    assert embedding.form == "white"
-    assert not np.array_equal(np.asarray(embedding), fresh_bench.sensor.measurement)
-    # A float32 a number, of n numbers: each is rounded by 2^-24 of itself.
-    assert np.linalg.norm(np.asarray(embedding, np.float64)) == pytest.approx(1, abs=2**-23)
-
-
 def test_raw_is_what_was_read(fresh_bench: Bench) -> None:
     embedding = captured(fresh_bench, "raw").release(0.0)
     assert isinstance(embedding, Embedding)
@@ -60,7 +51,7 @@ def test_nothing_leaves_that_was_not_to(fresh_bench: Bench) -> None:
 
 
 def test_capture_holds_its_epoch_until_it_is_done(fresh_bench: Bench) -> None:
-    capture = captured(fresh_bench, "white")
+    capture = captured(fresh_bench, "raw")
     epoch = capture.active
     epoch.hold()
     epoch.retire()
@@ -73,7 +64,7 @@ def test_capture_holds_its_epoch_until_it_is_done(fresh_bench: Bench) -> None:
 
 
 def test_capture_shows_neither_its_measurement_nor_its_internals(fresh_bench: Bench) -> None:
-    shown = repr(captured(fresh_bench, "white"))
+    shown = repr(captured(fresh_bench, "raw"))
     assert "measurement" not in shown
     assert "_done" not in shown
 

@@ -12,7 +12,6 @@ import pytest
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
-from veilcam_client.wire.sealing import Release
 from veilcam_server.camera import epochs as preparation_module
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.devices import DisplayError
@@ -48,7 +47,7 @@ class Gated:
     def marks(self) -> frozenset[str]:
         return self._source.marks
 
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+    def make(self, key: EpochKey, avoid: frozenset[str]) -> Mask:
         assert self.gate.wait(200)
         self.keys.append(bytes(key.reveal()))
         self.drawn.append(key)
@@ -56,7 +55,7 @@ class Gated:
         self.threads.add(threading.current_thread().name)
         if self.fault is not None:
             raise self.fault
-        return self._source.make(key, form, avoid)
+        return self._source.make(key, avoid)
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from tests.unit.server.devices.clock import Clock
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.captures import Prediction
-from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.simulation.operator import Response
@@ -367,7 +366,7 @@ class Bundled:
     marks: frozenset[str] = frozenset()
     bundle = "b0" * 32
 
-    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+    def make(self, key: EpochKey, avoid: frozenset[str]) -> Mask:
         levels = np.random.default_rng(list(key.levels())).integers(
             0, 64, CAMERA.mask_shape, np.uint8
         )
@@ -381,9 +380,6 @@ class Unasked:
         raise AssertionError
 
     def evidence(self, measurement: Measurement) -> Evidence:
-        raise AssertionError
-
-    def whiten(self, measurement: Measurement) -> Measurement:
         raise AssertionError
 
     def erase(self) -> None:

@@ -146,7 +146,7 @@ def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle) -> None:
     found = imperfections_of(make_record())
     key = EpochKey.generate(device="d7" * 32, bundle=fresh_bundle.digest)
     drawn, built = (
-        FreshSource(fresh_bundle, imperfections=imperfections).make(key, "none", frozenset())
+        FreshSource(fresh_bundle, imperfections=imperfections).make(key, frozenset())
         for imperfections in (NOMINAL, found)
     )
     assert np.array_equal(drawn.levels, built.levels)

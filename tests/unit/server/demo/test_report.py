@@ -57,7 +57,7 @@ def test_observer_with_a_key_draws_the_mask_of_an_envelope(
     image, measurement = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
     for number in (0, 1, 0, 2):
         assert observer.which(image, measurement, envelopes[number]) == number
-        mask = source.make(keys[number], "none", frozenset())
+        mask = source.make(keys[number], frozenset())
         assert np.array_equal(observer.levels(number), mask.levels)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -15,13 +13,10 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.bundles.loader import bundle_info, release_terms
+from veilcam_server.bundles.loader import bundle_info
 from veilcam_server.calibration.record import geometry_of
-from veilcam_server.errors import CalibrationError, StartError
+from veilcam_server.errors import CalibrationError
 from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.masks.source import Terms
-from veilcam_server.sealing.receivers import ReceiverStore
-from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, Fresh
 from veilcam_training.bundle.layers import Linear
 
@@ -51,7 +46,7 @@ def test_reader_in_colour_tells_colours_apart_behind_every_mask(coloured: Bundle
     source = FreshSource(coloured)
     operator = TransferOperator(CAMERA, SCENE, EMBEDDING, colour=True)
     for number in range(3):
-        mask = source.make(key(number), "none", NONE)
+        mask = source.make(key(number), NONE)
         weights = torch.from_numpy(to_weights(mask.levels, CAMERA.panel))
         for name, seen in zip(coloured.labels, operator.embed(COLOURS, weights), strict=True):
             assert mask.reader.classify(seen.numpy()).label == name
@@ -61,13 +56,7 @@ def test_reader_in_colour_tells_colours_apart_behind_every_mask(coloured: Bundle
             assert bright.novelty is not None
 
 
-def test_camera_in_colour_has_neither_white_embeddings_nor_a_calibration(
-    coloured: Bundle, tmp_path: Path
-) -> None:
-    store = ReceiverStore(tmp_path)
-    assert release_terms(Settings(bundle=Path("x")), coloured, store)() == Terms("none")
-    with pytest.raises(StartError, match="needs a gray bundle"):
-        release_terms(Settings(bundle=Path("x"), release="white"), coloured, store)
+def test_camera_in_colour_has_no_calibration(coloured: Bundle) -> None:
     with pytest.raises(CalibrationError, match="serve a gray bundle"):
         geometry_of(coloured)
     assert bundle_info(coloured).embedding_shape == (3, *EMBEDDING.shape)

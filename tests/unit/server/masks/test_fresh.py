@@ -20,7 +20,6 @@ from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.camera.geometry import Embedding as EmbeddingSize
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Decoder, Precision, fit_statistics
-from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.keys.masks import MaskDistribution, draw_levels
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.operator import TransferOperator
@@ -73,7 +72,7 @@ def test_mask_is_its_key_s_and_its_reader_the_mask_s(fresh_bundle: Bundle) -> No
     assert fresh is not None
     network = build_classifier(fresh.layers, fresh.weights)
     for number in range(3):
-        mask = source.make(key(number), "none", NONE)
+        mask = source.make(key(number), NONE)
         np.testing.assert_array_equal(mask.levels, levels_of(fresh_bundle, key(number)))
         assert mask.mark == ""
         decoder = decoder_of(fresh_bundle, mask.levels)
@@ -95,7 +94,7 @@ def test_evidence_is_the_same_behind_every_mask(fresh_bundle: Bundle) -> None:
     wall, dark = torch.full((1, *scene.shape), 0.4), torch.zeros(1, *scene.shape)
     light, novelty = [], []
     for number in range(3):
-        mask = source.make(key(number), "none", NONE)
+        mask = source.make(key(number), NONE)
         weights = torch.from_numpy(to_weights(mask.levels, fresh_bundle.camera.panel))
         told = [
             mask.reader.evidence(operator.embed(each, weights)[0].numpy())
@@ -114,7 +113,7 @@ def test_evidence_is_the_same_behind_every_mask(fresh_bundle: Bundle) -> None:
 def test_logits_are_the_mean_over_a_scene_and_its_neighbours(fresh_bundle: Bundle) -> None:
     fresh = fresh_bundle.fresh
     assert fresh is not None
-    mask = FreshSource(fresh_bundle).make(key(1), "none", NONE)
+    mask = FreshSource(fresh_bundle).make(key(1), NONE)
     network = build_classifier(fresh.layers, fresh.weights)
     measurement = a_measurement(fresh_bundle, mask.levels)
     decoder = decoder_of(fresh_bundle, mask.levels)
@@ -129,38 +128,11 @@ def test_logits_are_the_mean_over_a_scene_and_its_neighbours(fresh_bundle: Bundl
     np.testing.assert_allclose(found, np.mean(expected, axis=0), atol=1e-4)
 
 
-def test_white_is_turned_by_the_key_and_not_by_the_mask(fresh_bundle: Bundle) -> None:
-    mask = FreshSource(fresh_bundle).make(key(1), "white", NONE)
-    measurement = a_measurement(fresh_bundle, mask.levels)
-    white = mask.reader.whiten(measurement)
-    assert white.shape == measurement.shape
-    assert white.dtype == np.float32
-    decoder = decoder_of(fresh_bundle, mask.levels)
-    batch = torch.from_numpy(measurement)[None]
-    expected = Whitening(decoder, key(1).rotation()).whiten(batch)
-    np.testing.assert_allclose(white.ravel(), expected[0], atol=1e-6)
-    for wrong in (key(2).rotation(), key(1).levels()):
-        other = Whitening(decoder, wrong).whiten(batch)
-        assert np.abs(white.ravel() - other[0].numpy()).max() > 0.1
-
-
-@pytest.mark.parametrize("form", ["none", "sealed", "raw"])
-def test_nothing_is_prepared_to_whiten_where_nothing_leaves_white(
-    fresh_bundle: Bundle, form: str
-) -> None:
-    mask = FreshSource(fresh_bundle).make(key(1), form, NONE)  # type: ignore[arg-type]
-    assert isinstance(mask.reader, FreshReader)
-    assert mask.reader.whitening is None
-    with pytest.raises(ValueError, match="make the mask for white"):
-        mask.reader.whiten(a_measurement(fresh_bundle, mask.levels))
-
-
-@pytest.mark.parametrize("form", ["none", "white"])
 def test_mask_that_is_erased_takes_its_reader_along_and_leaves_its_neighbours(
-    fresh_bundle: Bundle, form: str
+    fresh_bundle: Bundle,
 ) -> None:
     source = FreshSource(fresh_bundle)
-    mask, other = (source.make(key(number), form, NONE) for number in range(2))  # type: ignore[arg-type]
+    mask, other = (source.make(key(number), NONE) for number in range(2))
     measurement = a_measurement(fresh_bundle, other.levels)
     expected = other.reader.classify(measurement)
     assert isinstance(mask.reader, FreshReader)
@@ -168,8 +140,6 @@ def test_mask_that_is_erased_takes_its_reader_along_and_leaves_its_neighbours(
     mask.erase()  # twice does no harm
     assert not mask.levels.any()
     assert not bool(mask.reader.decoder.estimator.any())
-    if mask.reader.whitening is not None:
-        assert not bool(mask.reader.whitening._rotation.any())
     assert other.reader.classify(measurement) == expected
 
 
@@ -192,19 +162,19 @@ def test_derived_keys_are_overwritten_as_soon_as_they_were_used(
     if fails:
         monkeypatch.setattr(source._decoding, "prepare", fail)
         with pytest.raises(ZeroDivisionError):
-            source.make(key(1), "white", NONE)
+            source.make(key(1), NONE)
     else:
-        source.make(key(1), "white", NONE)
-    assert len(derived) == 2
+        source.make(key(1), NONE)
+    assert len(derived) == 1
     assert not any(map(any, derived))
 
 
 def test_wrong_decoder_is_another_mask_s_and_another_one_each_time(
     fresh_bundle: Bundle,
 ) -> None:
-    right = FreshSource(fresh_bundle).make(key(3), "none", NONE)
+    right = FreshSource(fresh_bundle).make(key(3), NONE)
     source = FreshSource(fresh_bundle, wrong_decoder=True)
-    wrong = [source.make(key(3), "none", NONE) for _ in range(2)]
+    wrong = [source.make(key(3), NONE) for _ in range(2)]
     measurement = a_measurement(fresh_bundle, right.levels)
     answers = [mask.reader.classify(measurement).scores for mask in (right, *wrong)]
     assert all(np.array_equal(right.levels, mask.levels) for mask in wrong)
@@ -237,7 +207,7 @@ def test_simulated_light_can_be_decoded(
     def likeness(source: FreshSource) -> float:
         total = 0.0
         for counter, digit in enumerate(digits[:5]):
-            mask = source.make(key(counter), "none", frozenset())
+            mask = source.make(key(counter), frozenset())
             psf = light.psf(torch.from_numpy(to_weights(mask.levels, camera.panel)))
             seen = light.embed(torch.from_numpy(digit), psf, embedding)
             reader = mask.reader
@@ -254,28 +224,15 @@ def test_simulated_light_can_be_decoded(
 async def test_answers_tell_their_form(running: Running, fresh_bench: Bench) -> None:
     async with running(on=fresh_bench, policy=PER_CAPTURE) as client:
         status = Status.model_validate_json((await client.get("/v1/status")).content)
-        assert (status.release, status.bundle.mode, status.bundle.pairs) == ("white", "fresh", 0)
+        assert (status.release, status.bundle.mode, status.bundle.pairs) == ("raw", "fresh", 0)
         capture = Capture.model_validate_json((await client.post("/v1/captures")).content)
         assert isinstance(capture.embedding, Embedding)
-        assert capture.embedding.form == "white"
-        assert abs(float(np.linalg.norm(np.asarray(capture).astype(np.float64))) - 1) < 1e-6
+        assert capture.embedding.form == "raw"
         answer = await client.post("/v1/classifications", json={"include_embedding": True})
         result = Classification.model_validate_json(answer.content)
         assert result.embedding is not None
-        assert result.embedding.form == "white"
+        assert result.embedding.form == "raw"
         assert capture.epoch != result.epoch
-
-
-@pytest.mark.anyio
-async def test_scene_without_light_is_answered_as_any_other(
-    running: Running, fresh_bench: Bench
-) -> None:
-    async with running(on=fresh_bench) as client:
-        fresh_bench.sensor.measurement = np.zeros_like(fresh_bench.sensor.measurement)
-        dark = await client.post("/v1/captures")
-        assert dark.is_success
-        values = np.asarray(Capture.model_validate_json(dark.content)).astype(np.float64)
-        assert abs(float(np.linalg.norm(values)) - 1) < 1e-6
 
 
 @pytest.mark.anyio

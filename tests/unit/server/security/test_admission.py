@@ -151,15 +151,6 @@ async def test_raw_embeddings_want_a_scope_more(
         assert answer.json()["embedding"]["form"] == "raw"
 
 
-async def test_white_embeddings_want_no_more(
-    running: Running, fresh_bench: Bench, store: TokenStore
-) -> None:
-    headers = bearer(store, "read:embedding")
-    async with running(admission=Admission(tokens=store), on=fresh_bench) as client:
-        answer = await client.post("/v1/captures", headers=headers)
-    assert answer.json()["embedding"]["form"] == "white"
-
-
 async def test_idempotency_key_is_a_caller_s_own(
     running: Running, store: TokenStore, bench: Bench
 ) -> None:

@@ -255,7 +255,7 @@ async def test_threads_of_queue_preparation_and_inference_outlive_defects(
     camera = bench.camera()
     service = bench.service(camera)
     key = EpochKey.generate(device="d7" * 32, bundle="b0" * 32)
-    reader = type(bench.source.make(key, "raw", frozenset()).reader)
+    reader = type(bench.source.make(key, frozenset()).reader)
     async with service.open():
         for place, name in (
             (camera, "capture"),

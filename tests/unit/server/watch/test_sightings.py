@@ -9,7 +9,7 @@ from tests.unit.server.watch.conftest import LABELS, Look
 
 from veilcam_server.masks.source import Evidence
 from veilcam_server.watch.belief import Dynamics, Thresholds
-from veilcam_server.watch.sightings import GONE, SEEN, Change, Fusion
+from veilcam_server.watch.sightings import GONE, Change, Fusion
 
 
 def run(
@@ -42,8 +42,17 @@ def test_thing_is_told_of_once_when_it_comes_and_once_when_it_goes(
     sure = [change.confidence for _, change in changes]
     assert sure[0] is not None
     assert sure[1] is not None
-    assert SEEN <= sure[0] < 1
+    assert Thresholds().seen <= sure[0] < 1
     assert 1 - GONE <= sure[1] < 1
+
+
+@pytest.mark.parametrize(("threshold", "at"), [(0.6, 2.5), (0.98, 3.0)])
+def test_thing_is_told_of_from_the_threshold_on(look: Look, threshold: float, at: float) -> None:
+    fusion = Fusion(Thresholds(seen=threshold), Dynamics(), 4)
+    [(when, change)] = run(fusion, map(look, [*4 * [None], *20 * ["a"]]))
+    assert change.confidence is not None
+    assert change.confidence >= threshold
+    assert when == at
 
 
 def test_thing_for_another_is_one_that_goes_and_one_that_comes(fusion: Fusion, look: Look) -> None:
@@ -98,7 +107,7 @@ def test_bundle_without_statistics_of_scenes_is_believed_less(look: Look) -> Non
         run(fusion, 6 * [look("a", novelty=novelty)])
         assert fusion.leader is not None
         confidences.append(fusion.leader.confidence)
-    assert confidences[0] > confidences[1] > SEEN
+    assert confidences[0] > confidences[1] > Thresholds().seen
 
 
 def test_history_is_the_last_sights_newest_first(fusion: Fusion, look: Look) -> None:
@@ -109,7 +118,7 @@ def test_history_is_the_last_sights_newest_first(fusion: Fusion, look: Look) -> 
     assert [sight.label for sight in history] == ["b", "c", "b", "a"]
     assert [sight.since for sight in history] == [36.0, 32.0, 28.0, 24.0]
     assert [sight.until for sight in history] == [None, 34.0, 30.0, 26.0]
-    assert all(sight.confidence > SEEN for sight in history)
+    assert all(sight.confidence > Thresholds().seen for sight in history)
 
 
 def test_slow_looks_forget_in_between(fusion: Fusion, look: Look) -> None:

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import SceneDecoding, fit_statistics
-from veilcam_optics.decoding.decoder import Decoder
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.attacks.victim import (
@@ -117,18 +116,6 @@ def test_release_of_ones_own_is_taken(light: TransferOperator) -> None:
     scenes = _scenes(4)
     wanted = 2 * clear.capture(clear.mask(), scenes) + 1
     assert torch.equal(victim.capture(victim.mask(), scenes), wanted)
-
-
-def test_white_is_a_direction_by_statistics(
-    light: TransferOperator, decoding: SceneDecoding
-) -> None:
-    victim = _victim(light, _fresh(), release=FORMS["white"], decoding=decoding)
-    mask = victim.mask()
-    assert isinstance(mask.decoder, Decoder)
-    assert victim.capture(mask, _scenes(9)).norm(dim=1) == pytest.approx(1, abs=1e-5)
-    blind = _victim(light, _fresh(), release=FORMS["white"])
-    with pytest.raises(TrainingError, match="cannot whiten"):
-        blind.capture(blind.mask(), _scenes(1))
 
 
 def test_sealed_bytes_are_uniform_whatever_was_seen(light: TransferOperator) -> None:

@@ -39,7 +39,7 @@ def card_of(bundle: Bundle, *rows: CardRow) -> PrivacyCard:
     return PrivacyCard(
         subject=bundle.subject,
         mode="fresh",
-        form="white",
+        form="sealed",
         quick=True,
         data="digits",
         seed=1,

@@ -102,7 +102,7 @@ def make_card(
         bundle: bundle of the camera.
         images: before it, and with the attackers; gray, of the bundle's scenes and labels.
         mode: see :func:`make_subject`; None: what the bundle holds.
-        form: form in which embeddings leave; None: white of fresh masks, raw of others.
+        form: form in which embeddings leave; None: sealed of fresh masks, raw of others.
         data: name of the data.
         plan: plan of the attacks.
         seed: seed of everything.

@@ -44,8 +44,6 @@ def ciphertext_only(study: Study) -> Found:
     if study.subject.form == "raw" and not study.plan.recovered:
         notes += ("Masks are looked for by gradient in a full card alone: it finds more.",)
     found = found.model_copy(update={"notes": notes})
-    if not KNOWN[study.subject.form]:  # one capture leaves behind a mask
-        return found
     given = dict(study.in_sets)
     if study.plan.recovered and study.subject.form == "raw":
         given["mask by gradient from the mean of captures"] = recovered(
@@ -108,23 +106,8 @@ def other_epochs(study: Study) -> Found:
 
 
 def this_mask(study: Study) -> Found:
-    """T4: labelled captures of the very mask, as many as its budget leaves."""
-    known = KNOWN[study.subject.form]
-    if known:
-        return known_pairs(study, "T4", known)
-    seen = study.seen
-    scores = torch.zeros(seen.labels.numel(), study.classes)
-    gain = _points(study, scores)
-    return Found(
-        threat="T4",
-        attack="one answer for all",
-        gain=gain,
-        masks=seen.masks,
-        others={"one answer for all": gain.value},
-        notes=(
-            "One capture leaves behind a mask, so none beside it is known: what is left is T3.",
-        ),
-    )
+    """T4: labelled captures of the very mask."""
+    return known_pairs(study, "T4", KNOWN)
 
 
 def leaked_list(study: Study) -> Found:

@@ -45,11 +45,6 @@ def open_raw(mask: VictimMask, released: Tensor) -> Tensor:
     return released
 
 
-def open_white(mask: VictimMask, released: Tensor) -> Tensor:
-    """Measurements but for their length."""
-    return mask.whitening.restore(released)
-
-
 def open_sealed(mask: VictimMask, released: Tensor) -> Tensor:
     """Measurements, or what the mean scene gives: without its key a block does not open."""
     opened = unsealed(mask, released)
@@ -60,7 +55,7 @@ def open_sealed(mask: VictimMask, released: Tensor) -> Tensor:
     return opened
 
 
-OPENINGS: dict[str, Opening] = {"raw": open_raw, "white": open_white, "sealed": open_sealed}
+OPENINGS: dict[str, Opening] = {"raw": open_raw, "sealed": open_sealed}
 
 
 @dataclass(frozen=True)
@@ -105,20 +100,16 @@ def make_subject(
         scenes: (count, rows, columns) that attackers know, for statistics where there are none.
         mode: ``fresh``, ``random`` (as many masks as the bundle has, ten for a fresh one) or
             ``pairsN`` (the first N of the bundle); None: all that the bundle holds.
-        form: ``raw``, ``white`` or ``sealed``; None: ``white`` of fresh masks, ``raw`` of others.
+        form: ``raw`` or ``sealed``; None: ``sealed`` of fresh masks, ``raw`` of others.
         seed: seed of a random keyring.
 
     Raises:
-        TrainingError: a mode that the bundle has no masks for, a form that the mode does not have,
-            or scenes of another shape.
+        TrainingError: a mode that the bundle has no masks for, another form, or scenes of another
+            shape.
     """
     mode = mode or ("fresh" if bundle.fresh is not None else f"pairs{len(bundle.pairs)}")
-    form = form or ("white" if mode == "fresh" else "raw")
+    form = form or ("sealed" if mode == "fresh" else "raw")
     require(form in FORMS, f"form {form!r} is not valid: use one of {', '.join(FORMS)}")
-    require(
-        form != "white" or mode == "fresh",
-        f"mode {mode} has no form white: use raw or sealed",
-    )
     require(
         tuple(scenes.shape[1:]) == bundle.scene.shape,
         f"pictures are {tuple(scenes.shape[1:])} and the bundle's scenes {bundle.scene.shape}: "

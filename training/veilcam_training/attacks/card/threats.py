@@ -68,7 +68,7 @@ THREATS: Mapping[str, Threat] = {
     ),
     "T4": Threat(
         "known pairs of this mask",
-        "as many labelled captures of the mask as its budget leaves beside the one attacked",
+        "30 labelled captures of the mask",
         "digits read, above chance",
         *(POINTS, 0.0, 1.0, 3.0),
         _CHANCE,
@@ -112,13 +112,11 @@ THREATS: Mapping[str, Threat] = {
 
 CLAIMED: Mapping[str, frozenset[str]] = {
     "raw": frozenset(),
-    "white": frozenset({"T1", "T2", "T3", "T4", "T5", "T9"}),
     "sealed": frozenset({"T1", "T2", "T3", "T4", "T5", "T9"}),
 }
 """Rows that have to be at chance, by form. ``raw`` is measured, and claims nothing."""
-KNOWN: Mapping[str, int] = {"raw": 30, "white": 0, "sealed": 30}
-"""Labelled captures of the current mask in T4. The budget of ``white`` is one capture a mask: there
-is none beside the one attacked."""
+KNOWN = 30
+"""Labelled captures of the current mask in T4."""
 
 
 def outcome_of(

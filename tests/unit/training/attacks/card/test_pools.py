@@ -37,7 +37,7 @@ def error(found: Pool, name: str) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["raw", "white", "sealed"])
+@pytest.mark.parametrize("form", ["raw", "sealed"])
 def test_of_fresh_masks_the_key_decodes_and_nothing_else(form: str) -> None:
     found = pool(make_fresh(), form=form)
     assert found.masks == 2 * PART

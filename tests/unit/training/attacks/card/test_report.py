@@ -49,7 +49,7 @@ def leaking() -> Made:
 
 @pytest.fixture(scope="module")
 def closed() -> Made:
-    """Fresh masks, white."""
+    """Fresh masks, sealed."""
     return made(make_fresh())
 
 
@@ -75,19 +75,20 @@ def test_every_attack_wins_behind_masks_that_come_again(leaking: Made) -> None:
 
 
 @pytest.mark.thorough
-def test_no_attack_beats_chance_behind_fresh_white_ones(closed: Made) -> None:
+def test_no_attack_beats_chance_behind_fresh_sealed_ones(closed: Made) -> None:
     card, _ = closed
-    assert (card.mode, card.form) == ("fresh", "white")
+    assert (card.mode, card.form) == ("fresh", "sealed")
     assert figure(card, "T0") > 80
     # Four standard errors, of scenes that pairs of masks share: 800 captures count as 400.
     bound = 4 * 100 * math.sqrt(0.25 * 0.75 / 400)
-    for threat in ("T1", "T2", "T3", "T4", "T5"):
+    for threat in ("T1", "T2", "T3", "T5"):
         assert abs(figure(card, threat)) < bound, threat
     # 40 blocks of 10 and 90: a block's area has an error of .096.
     assert figure(card, "T9") < 4 * 0.096 / math.sqrt(40)
-    # With the key, or with many captures of one mask, there is something to find.
+    # 1,000 captures behind two masks.
+    assert max(abs(figure(card, threat)) for threat in ("T4", "T7")) < 4 * 1.4
+    # With the key there is something to find.
     assert figure(card, "T6") > 3
-    assert figure(card, "T7") > 20
 
 
 @pytest.mark.slow
@@ -154,35 +155,35 @@ def outcomes(form: str, values: dict[str, float], *, quick: bool = False) -> dic
 
 
 def test_row_passes_within_its_threshold_and_fails_beyond() -> None:
-    assert set(outcomes("white", {}).values()) == {"PASS", "NOT CLAIMED"}
+    assert set(outcomes("sealed", {}).values()) == {"PASS", "NOT CLAIMED"}
     for form, values, threat, outcome in (
-        ("white", {"T1": 1.2}, "T1", "FAIL"),
-        ("white", {"T9": 0.03}, "T9", "FAIL"),
-        ("white", {"T6": 9.0, "T7": 60.0, "T8": 0.4}, "T7", "NOT CLAIMED"),
+        ("sealed", {"T1": 1.2}, "T1", "FAIL"),
+        ("sealed", {"T9": 0.03}, "T9", "FAIL"),
+        ("sealed", {"T6": 9.0, "T7": 60.0, "T8": 0.4}, "T7", "NOT CLAIMED"),
         ("raw", {"T1": 60.0}, "T1", "NOT CLAIMED"),
         ("sealed", {"T5": 60.0}, "T5", "FAIL"),
-        ("white", {"T0": 59.0}, "T0", "FAIL"),
+        ("sealed", {"T0": 59.0}, "T0", "FAIL"),
     ):
         assert outcomes(form, values)[threat] == outcome
-    assert outcomes("white", {"T1": 1.2}, quick=True)["T1"] == "PASS"
+    assert outcomes("sealed", {"T1": 1.2}, quick=True)["T1"] == "PASS"
     # What is not proven fails.
     unsure = {
-        r.threat: r for r in judge([found(name, 0, 1) for name in THREATS], "white", quick=False)
+        r.threat: r for r in judge([found(name, 0, 1) for name in THREATS], "sealed", quick=False)
     }
     assert unsure["T1"].outcome == "FAIL"
     assert unsure["T1"].end > unsure["T1"].threshold
     # The end of sanity is the lower one.
-    sane = judge([found("T0", 80.0, 1.0)], "white", quick=True)[0]
+    sane = judge([found("T0", 80.0, 1.0)], "sealed", quick=True)[0]
     assert sane.end == pytest.approx(80 - 2.3263, abs=1e-3)
 
 
 def test_figures_are_those_that_thresholds_are_on() -> None:
-    judged = judge([found(name, 5.0, 1.0) for name in THREATS], "white", quick=True)
+    judged = judge([found(name, 5.0, 1.0) for name in THREATS], "sealed", quick=True)
     card = PrivacyCard.model_validate(
         {
             "subject": "ab" * 32,
             "mode": "fresh",
-            "form": "white",
+            "form": "sealed",
             "quick": True,
             "data": "bars",
             "seed": 1,
@@ -217,8 +218,7 @@ def test_table_is_whole() -> None:
         (make_pairs, "fresh", None, "wants one of fresh masks"),
         (make_pairs, "pairs9", None, "wants 9 masks"),
         (make_pairs, "any", None, "is not valid"),
-        (make_pairs, None, "white", "has no form white"),
-        (make_fresh, None, "flat", "form 'flat' is not valid"),
+        (make_fresh, None, "white", "form 'white' is not valid: use one of raw, sealed"),
         (make_fresh, "pairs1", None, "wants 1 masks"),
     ],
 )
@@ -233,8 +233,8 @@ def test_full_card_has_more_attackers_of_pictures() -> None:
     def names(form: str, plan: Plan) -> set[str]:
         return set(make_study(make_fresh(), plan, form).of_release())
 
-    assert "correlations" not in names("white", QUICK)
-    assert {f"correlations, start {each.seed}" for each in FULL.trials} < names("white", FULL)
+    assert "correlations" not in names("raw", QUICK)
+    assert {f"correlations, start {each.seed}" for each in FULL.trials} < names("raw", FULL)
     # Ciphertext is no picture.
     pictures = ("convolutions", "correlations")
     assert not any(name.startswith(pictures) for name in names("sealed", FULL))

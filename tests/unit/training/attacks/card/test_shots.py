@@ -14,7 +14,7 @@ from veilcam_training.attacks.card.report import judge
 from veilcam_training.attacks.card.rows import ciphertext_only, linkage, this_mask
 from veilcam_training.attacks.card.shots import Found, of_masks
 from veilcam_training.attacks.mask_recovery import Search, recover_mask
-from veilcam_training.attacks.victim import raw, white
+from veilcam_training.attacks.victim import raw, sealed
 from veilcam_training.bundle import Bundle
 
 HEAVY = replace(TINY, own=20, seen=20, epochs=2, recovered=3)
@@ -60,13 +60,13 @@ def test_best_is_chosen_where_it_does_not_count() -> None:
 
 
 @pytest.mark.thorough
-def test_card_of_raw_captures_that_claims_what_holds_for_white_fails() -> None:
+def test_card_of_raw_captures_that_claims_what_holds_for_sealed_fails() -> None:
     """150 blocks of ten pairs: an area of one half has a standard error of .096 / sqrt(150), .008.
     Its upper end, 2.33 errors on, is within the bar of .05 unless the area errs by 4 errors."""
     plan = replace(TINY, own=60, seen=300, epochs=3)
     leaking, present = (
-        judge([linkage(make_study(make_fresh(), plan, release=form))], "white", quick=True)[0]
-        for form in (raw, white)
+        judge([linkage(make_study(make_fresh(), plan, release=form))], "sealed", quick=True)[0]
+        for form in (raw, sealed)
     )
     assert (leaking.threat, leaking.outcome) == ("T9", "FAIL")
     # Not for want of captures: what is found is itself beyond the bar.
