@@ -40,7 +40,8 @@ from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.base import Device, Measurement
 from veilcam_server.devices.corrected import CalibratedSensor
-from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.devices.simulated.device import Conditions, simulated_device
+from veilcam_server.devices.simulated.light import planned_light
 from veilcam_server.errors import CalibrationError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, read_bundle

@@ -39,7 +39,7 @@ from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
 from veilcam_server.demo_data import BUNDLE
-from veilcam_server.devices.simulated.device import (
+from veilcam_server.devices.simulated.light import (
     TOLERANCE,
     Light,
     planned_light,

@@ -16,7 +16,7 @@ from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_server.demo_data import FRESH, Digits, load_digits
 from veilcam_server.demo_data.make import IMAGES, LABELS, read_idx
-from veilcam_server.devices.simulated.device import planned_light
+from veilcam_server.devices.simulated.light import planned_light
 from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Evidence, transmittance

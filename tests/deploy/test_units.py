@@ -166,7 +166,7 @@ PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
 if ctypes.CDLL(None).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0) != 0:
     sys.exit(77)
 import numpy, torch
-from veilcam_server.devices.simulated.device import use_torch_sparingly
+from veilcam_server.devices.simulated.light import use_torch_sparingly
 from veilcam_training.bundle import Network
 from veilcam_training.bundle.layers import Conv2d
 use_torch_sparingly()

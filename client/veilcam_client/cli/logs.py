@@ -54,7 +54,7 @@ def verify(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Check a log, and exit with 17 if something does not hold. No camera is asked."""
+    """Check a log, and exit with 7 if something does not hold. No camera is asked."""
     from veilcam_client.keys.log import verify_log  # noqa: PLC0415 - late: the cryptography
 
     with errors():

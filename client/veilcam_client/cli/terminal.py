@@ -35,25 +35,25 @@ from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.base import installed_version
 
 EXIT_CODES_HELP = (
-    "Exit codes: 0 done, 1 failed, 2 usage, 3 no connection, 4 timeout, 5 request refused, 6 busy, "
-    "7 device, 9 unreadable answer, 10 token, 12 leased, 13 file, 15 sealed, 17 forged log."
+    "Exit codes: 0 done, 1 failed, 2 usage or file, 3 no answer, 4 refused, 5 busy or leased, "
+    "6 device or unreadable answer, 7 forged log or sealed embedding."
 )
 """Of all commands."""
-USAGE, DEVICE = 2, 7
-FORGED = 17
+USAGE, DEVICE = 2, 6
+FORGED = 7
 """A log does not hold."""
 EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ArgumentError, USAGE),
+    (FileError, USAGE),
     (ConnectError, 3),
-    (RequestTimeoutError, 4),
-    (BusyError, 6),
+    (RequestTimeoutError, 3),
+    (BusyError, 5),
+    (LeasedError, 5),
     (DeviceError, DEVICE),
-    (ProtocolError, 9),
-    (AccessError, 10),
-    (LeasedError, 12),
-    (FileError, 13),
-    (SealedError, 15),
-    (ApiError, 5),
+    (ProtocolError, DEVICE),
+    (SealedError, FORGED),
+    (AccessError, 4),
+    (ApiError, 4),
     (VeilcamError, 1),
 )
 

@@ -211,7 +211,7 @@ EXAMPLES = Examples(
         ),
         Diagnostics(
             versions={"veilcam": installed_version(), "python": "3.11.9"},
-            settings={"device": "pi", "queue_limit": 8, "bundle": "given"},
+            settings={"device": "pi", "callers": 16, "bundle": "given"},
             states=(PastState(at=EXAMPLE_TIME, state="ready", detail=None),),
             faults=(
                 PastFault(

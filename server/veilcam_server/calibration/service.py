@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, TypeVar
 
 import structlog
 
@@ -38,7 +37,7 @@ from veilcam_server.calibration.record import (
     source_opener,
 )
 from veilcam_server.calibration.rig import CalibrationScene, Geometry
-from veilcam_server.camera.engine import CameraEngine, Publish
+from veilcam_server.camera.engine import CameraEngine, OnDevice, Publish
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
     CalibrationError,
@@ -50,20 +49,10 @@ from veilcam_server.system.logs import log_defect
 from veilcam_training.bundle import Bundle
 
 log = structlog.get_logger()
-ResultT = TypeVar("ResultT")
 
 LONGEST = 3.0
 """Longest settling time, over that of the settings."""
 _NO_CAMERA = "there is no panel and no sensor to calibrate: this daemon replays a recording"
-
-
-class OnDevice(Protocol):
-    """Function that does work on the device's thread."""
-
-    def __call__(
-        self, work: Callable[[], ResultT], *, counted: bool = True
-    ) -> Coroutine[Any, Any, ResultT]:
-        """Return the result of ``work``, or raise its exception."""
 
 
 @dataclass(frozen=True, slots=True)

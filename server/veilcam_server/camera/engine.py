@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.events import Event
@@ -14,6 +14,8 @@ from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Device
 from veilcam_server.masks.source import MaskSource
+
+ResultT = TypeVar("ResultT")
 
 Publish = Callable[[Callable[..., Event]], None]
 """Takes what makes an event of an ``id`` and the time ``at``; neither blocks nor fails."""
@@ -27,6 +29,15 @@ class Condition(NamedTuple):
     """Why it is not ready."""
     remedy: Remedy | None = None
     """What helps, where it is ``degraded`` or ``safe``."""
+
+
+class OnDevice(Protocol):
+    """Function that does work on the device's thread."""
+
+    def __call__(
+        self, work: Callable[[], ResultT], *, counted: bool = True
+    ) -> Coroutine[Any, Any, ResultT]:
+        """Return the result of ``work``, or raise its exception."""
 
 
 class CameraEngine(Protocol):

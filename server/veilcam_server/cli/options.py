@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
-from veilcam_server.cli.terminal import fail, one_line
+from veilcam_server.cli.terminal import USAGE, fail, one_line
 from veilcam_server.errors import StartError
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
@@ -50,9 +50,9 @@ def options_of(
             try:
                 checked = settings(**_settings(given))
             except ValidationError as error:
-                fail(one_line(error))
+                fail(one_line(error), USAGE)
             except StartError as error:
-                fail(str(error))
+                fail(str(error), USAGE)
             command(checked, **rest)  # type: ignore[call-arg]
 
         run.__name__, run.__doc__ = command.__name__, command.__doc__

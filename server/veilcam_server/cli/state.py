@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail
+from veilcam_server.cli.terminal import USAGE, JsonOption, StateDirOption, enter_state, fail
 from veilcam_server.environment import default_state_dir
 from veilcam_server.errors import StartError
 
@@ -30,12 +30,12 @@ def backup(
 
     directory = state_dir or default_state_dir()
     if directory.resolve() in file.resolve().parents:
-        fail(f"{file} is within the state directory: give a file outside of it")
+        fail(f"{file} is within the state directory: give a file outside of it", USAGE)
     try:
         # Made by who asks: what root may write, the folder's owner may not.
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
-        fail(f"{file} cannot be written ({error.strerror}): give the name of a new file")
+        fail(f"{file} cannot be written ({error.strerror}): give the name of a new file", USAGE)
     made = False
     try:
         with os.fdopen(descriptor, "w+b") as stream:
@@ -71,7 +71,7 @@ def restore(
     except StartError as error:
         fail(str(error))
     except OSError as error:
-        fail(f"{file} cannot be read ({error.strerror})")
+        fail(f"{file} cannot be read ({error.strerror})", USAGE)
     _tell({"files": count, "to": str(directory)}, f"wrote {count} files to {directory}", json=json)
 
 

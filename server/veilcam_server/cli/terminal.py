@@ -16,6 +16,9 @@ StateDirOption = Annotated[
     Path | None, typer.Option(envvar="VEILCAM_STATE_DIR", help="That of 'veilcamd serve'.")
 ]
 
+USAGE = 2
+"""Exit code where an option or a file cannot be used."""
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 _OPTIONS = {"seconds": "every-seconds", "captures": "every-captures"}
@@ -59,7 +62,7 @@ def require_software() -> None:
         )
 
 
-def fail(message: str) -> NoReturn:
-    """Say why, and exit with 1."""
+def fail(message: str, code: int = 1) -> NoReturn:
+    """Say why, and exit with this code."""
     typer.echo(f"veilcamd: error: {message}", err=True)
-    raise SystemExit(1)
+    raise SystemExit(code)

@@ -13,7 +13,14 @@ from pydantic import ValidationError
 
 from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
-from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail, one_line
+from veilcam_server.cli.terminal import (
+    USAGE,
+    JsonOption,
+    StateDirOption,
+    enter_state,
+    fail,
+    one_line,
+)
 from veilcam_server.environment import default_state_dir
 from veilcam_server.errors import ProblemError, StartError
 
@@ -49,16 +56,16 @@ def create(
     """Make a token and print it. It is shown this once."""
     seconds = None if days is None else round(86_400 * days)
     if seconds == 0:
-        fail("--days: a token is valid for a second at least")
+        fail("--days: a token is valid for a second at least", USAGE)
     unknown = unknown_scopes(scope)
     if unknown is not None:
-        fail(unknown)
+        fail(unknown, USAGE)
     try:
         asked = TokenRequest.model_validate(
             {"label": label, "scopes": tuple(scope), "seconds": seconds}
         )
     except ValidationError as error:
-        fail(one_line(error))
+        fail(one_line(error), USAGE)
     with _store(state_dir) as (store, note):
         made = store.create(asked.label, asked.scopes, asked.seconds)
         note("token create", made)

@@ -107,12 +107,12 @@ def _simulated(
     try:
         from veilcam_server.devices.simulated.device import (  # noqa: PLC0415
             Conditions,
-            planned_light,
             simulated_device,
-            use_torch_sparingly,
         )
-        from veilcam_server.devices.simulated.imperfections import (  # noqa: PLC0415
+        from veilcam_server.devices.simulated.light import (  # noqa: PLC0415
+            planned_light,
             read_imperfections,
+            use_torch_sparingly,
         )
         from veilcam_server.devices.simulated.panel import REFRESH  # noqa: PLC0415
         from veilcam_server.devices.simulated.scene_files import open_scenes  # noqa: PLC0415

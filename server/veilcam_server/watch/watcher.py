@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.events import Event, Gone, Seen, WatchChanged
@@ -24,7 +24,7 @@ from veilcam_client.wire.watch import (
     WatchOff,
     WatchPolicy,
 )
-from veilcam_server.camera.engine import CameraEngine, Publish
+from veilcam_server.camera.engine import CameraEngine, OnDevice, Publish
 from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
@@ -40,17 +40,6 @@ _SOON = 0.05
 """Time until a capture that gave way to a caller is tried again [s]."""
 _PATIENCE = 3
 """Longest time without a capture before the belief is forgotten, in periods or seconds."""
-
-ResultT = TypeVar("ResultT")
-
-
-class OnDevice(Protocol):
-    """Function that does work on the device's thread."""
-
-    def __call__(
-        self, work: Callable[[], ResultT], *, counted: bool = True
-    ) -> Coroutine[Any, Any, ResultT]:
-        """Return the result of ``work``, or raise its exception."""
 
 
 @dataclass(frozen=True, slots=True)

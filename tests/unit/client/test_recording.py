@@ -160,7 +160,7 @@ def test_record_command_writes_a_recording(path: Path, monkeypatch: pytest.Monke
     assert result.output == f"wrote 2 captures to {path}, 0.0 MB\n"
     assert all(each.verdict for each in read_recording(path).captures)
     result = CliRunner().invoke(app, options)
-    assert result.exit_code == 13
+    assert result.exit_code == 2
     assert "exists: give another name" in result.output
     result = CliRunner().invoke(app, [*options[:-1], str(path.with_name("other"))])
-    assert result.exit_code == 7
+    assert result.exit_code == 6

@@ -40,7 +40,7 @@ from veilcam_server.camera.self_test import Checks
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
 from veilcam_server.devices.base import Light
-from veilcam_server.devices.simulated import device as simulation
+from veilcam_server.devices.simulated import light as simulation
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs

@@ -212,7 +212,7 @@ def test_name_that_is_nobody_s_is_refused(
     monkeypatch.setenv(name, "the value, which may be secret")
     assert refused() == f"{name} in the environment is no setting: {remedy}"
     result = runner.invoke(app, ["serve", "--simulate"])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert result.stderr == f"veilcamd: error: {refused()}\n"
 
 
@@ -257,7 +257,7 @@ def test_no_name_that_is_used_anywhere_is_refused(monkeypatch: pytest.MonkeyPatc
 )
 def test_bad_options_end_with_one_line(options: list[str], message: str) -> None:
     result = runner.invoke(app, ["serve", "--simulate", *options])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert message in result.stderr
     assert result.stderr.startswith("veilcamd: error: ")
     assert result.stderr.count("\n") == 1

@@ -1,9 +1,7 @@
-"""A simulated camera: the real drivers on an emulated panel and a fake picamera2.
+"""Simulated camera: the real drivers on an emulated panel and a fake picamera2.
 
-What is read came through bytes on a bus, the panel's memory, its crystal, light, raw frames of
-12 bits and their binning. The light is that of a plan with a tenth of the tolerance that decoders
-are trained with, as far as a start and a capture have time for it, and with imperfections of its
-own. The plan says which path of the optics it takes, and how far off it is.
+A measurement comes through bytes on a bus, the panel's memory, its crystal, light, raw frames of
+12 bits and their binning.
 """
 
 from __future__ import annotations
@@ -13,41 +11,32 @@ import math
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import structlog
 import torch
 from torch.nn.functional import pixel_shuffle
 
 from veilcam_client.wire.simulation import Faults
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.camera.imperfections import Conditions as Optical
+from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.effects import Model
-from veilcam_optics.plan import plan
-from veilcam_optics.plan.cost import cost
 from veilcam_optics.propagation.sampling import area_average
-from veilcam_optics.simulation.operator import LightOperator, Response
+from veilcam_optics.simulation.operator import Response
 from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device, Levels
 from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
+from veilcam_server.devices.simulated.light import Light, raw_shape
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
-from veilcam_server.system.memory import share_one_heap
 
 _CACHED_MASKS = 3
 """Masks whose light is kept: opaque, open, and the one that is shown."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
-_FINER, _FINEST = 4, 40
-"""Raw pixels along each side of an embedding pixel, at least and at most; each stands for many of a
-real sensor's."""
 _SWITCHES = 16
 """Switches of the lamp that are remembered, for exposures that began before them."""
 _BAYER = (0.25, 0.5, 0.25)
@@ -55,111 +44,7 @@ _BAYER = (0.25, 0.5, 0.25)
 _HEADROOM = 1.1
 """What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
-DECODERS_TOLERANCE = 3e-3
-"""Relative error of the light that decoders are trained with."""
-TOLERANCE = DECODERS_TOLERANCE / 10
-"""Relative error that is asked of the simulated light; few cameras' light gets so near."""
-_LONGEST_BUILD, _LONGEST_CAPTURE = 1000.0, 8.0
-"""Predicted times above which the light is as coarse as the decoders' [ms]."""
-
-log = structlog.get_logger()
-
 Number = TypeVar("Number", bound=np.generic)
-
-
-def use_torch_sparingly() -> None:
-    """Make simulated light fit for a small machine and a sandbox."""
-    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
-    torch.set_num_threads(1)
-    # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
-    # Torch's own are as fast for one scene at a time (deploy/README.md).
-    torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
-    share_one_heap()
-
-
-class Light(Protocol):
-    """Light of the optics; :class:`veilcam_optics.effects.LightOperator` is one."""
-
-    def response(self, weights: torch.Tensor) -> Response:
-        """Return what a mask makes of the light."""
-
-    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the light of scenes on raw pixels: (batch, rows, columns) of a raw frame.
-
-        In colour it is (batch, 3, rows, columns), of two by two raw pixels each.
-        """
-
-
-class ColourLight:
-    """Light in colour: that of three gray cameras, each of one channel alone.
-
-    Args:
-        model: model of the light on two by two raw pixels.
-    """
-
-    def __init__(self, model: Model) -> None:
-        alone = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        sensors = [replace(model.camera.sensor, channel_weights=weights) for weights in alone]
-        cameras = [replace(model.camera, sensor=sensor) for sensor in sensors]
-        self._channels = [LightOperator(replace(model, camera=camera)) for camera in cameras]
-
-    def response(self, weights: torch.Tensor) -> Response:
-        """Return those of the channels, one after the other."""
-        return tuple(part for channel in self._channels for part in channel.response(weights))
-
-    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the light (batch, 3, rows, columns) of scenes (batch, 3, rows, columns)."""
-        count = len(response) // len(self._channels)
-        parts = [response[first : first + count] for first in range(0, len(response), count)]
-        lights = zip(self._channels, scenes.unbind(1), parts, strict=True)
-        return torch.stack([light.collect(scene, part) for light, scene, part in lights], 1)
-
-
-def raw_shape(embedding: Embedding, *, colour: bool = False) -> tuple[int, int]:
-    """Rows and columns of simulated raw frames: boxes are of whole pixels, where that can be.
-
-    In colour they are of whole two by two pixels, which have one light.
-    """
-    unit = 2 if colour else 1
-    for cells in range(_FINER // unit, _FINEST // unit + 1):
-        side = round(embedding.fill * cells)
-        whole = abs(embedding.fill * cells - side) < 1e-6
-        if whole and unit * side >= 2 and (cells - side) % 2 == 0:
-            break
-    return unit * cells * embedding.rows, unit * cells * embedding.columns
-
-
-def planned_light(
-    camera: Camera,
-    scene: Scene,
-    embedding: Embedding,
-    imperfections: Imperfections = NOMINAL,
-    *,
-    colour: bool = False,
-) -> Light:
-    """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
-
-    Args:
-        camera: camera as it is, its filters' leakage included.
-        scene: scene in front of it.
-        embedding: embedding that is read.
-        imperfections: imperfections that a decoder need not know of.
-        colour: True keeps the channels apart.
-    """
-    rows, columns = raw_shape(embedding, colour=colour)
-    pixels = Embedding(rows // 2, columns // 2) if colour else Embedding(rows, columns)
-    conditions = Optical(imperfections=imperfections)
-    for tolerance in (TOLERANCE, DECODERS_TOLERANCE):
-        chosen = plan(camera, scene, embedding, tolerance, conditions, batch=1)
-        model = replace(chosen.model, embedding=pixels)
-        if model.sampling.method == "transfer":
-            # The same light, without a matrix of all raw pixels for every mask.
-            model = replace(model, sampling=replace(model.sampling, method="factors"))
-        spent = cost(model, batch=1)
-        if spent.build_ms <= _LONGEST_BUILD and spent.step_ms <= _LONGEST_CAPTURE:
-            break
-    log.info("simulated light", method=model.sampling.method, predicted_error=chosen.error)
-    return ColourLight(model) if colour else LightOperator(model)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from veilcam_server.daemon import build_service, serve
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.imx477 import IMX477
 from veilcam_server.devices.reopening import ReopeningDisplay
-from veilcam_server.devices.simulated.device import planned_light, simulated_device
+from veilcam_server.devices.simulated.device import simulated_device
+from veilcam_server.devices.simulated.light import planned_light
 from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r import ST7735R
@@ -42,7 +43,7 @@ class Watched:
             return self.device
 
         monkeypatch.setattr("veilcam_server.devices.simulated.device.simulated_device", made)
-        monkeypatch.setattr("veilcam_server.devices.simulated.device.planned_light", planned_once)
+        monkeypatch.setattr("veilcam_server.devices.simulated.light.planned_light", planned_once)
         start = FakePicamera2.start
 
         def started(camera: FakePicamera2) -> None:

@@ -395,7 +395,7 @@ def test_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
     assert entries["board"]["outcome"] == "bad"
     assert entries["panel tab"]["remedy"].startswith("give --panel-tab")
     result = runner.invoke(app, ["doctor", "--spi-hz", "1", *state])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "--spi-hz" in result.stderr
 
 

@@ -124,7 +124,7 @@ def _seal() -> None:
 def _convolve() -> None:
     import torch
 
-    from veilcam_server.devices.simulated.device import use_torch_sparingly
+    from veilcam_server.devices.simulated.light import use_torch_sparingly
 
     use_torch_sparingly()
     torch.nn.Conv2d(1, 8, 5)(torch.ones(1, 1, 24, 32))

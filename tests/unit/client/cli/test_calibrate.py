@@ -71,7 +71,7 @@ def test_calibration_comes_as_json(daemon: Daemon) -> None:
 def test_calibration_that_failed_is_said(daemon: Daemon, run: dict[str, Any], reason: str) -> None:
     daemon.first = [said(run, 202), looked(run)]
     result = runner.invoke(app, ["calibrate"])
-    assert result.exit_code == 7
+    assert result.exit_code == 6
     assert reason in result.stderr
     assert "nothing was changed" in result.stderr
 
@@ -87,7 +87,7 @@ def test_caller_that_goes_away_cancels_its_calibration(daemon: Daemon) -> None:
 @pytest.mark.usefixtures("quick")
 def test_refusal_cancels_nothing(daemon: Daemon) -> None:
     daemon.first = [problem(409, "calibration_impossible")]
-    assert runner.invoke(app, ["calibrate"]).exit_code == 5
+    assert runner.invoke(app, ["calibrate"]).exit_code == 4
     assert len(daemon.requests) == 1
 
 

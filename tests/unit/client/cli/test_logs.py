@@ -54,16 +54,16 @@ def test_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) ->
 
 
 def test_log_that_does_not_hold_has_its_exit_code(path: Path) -> None:
-    assert runner.invoke(app, ["verify", str(path)]).exit_code == 13
+    assert runner.invoke(app, ["verify", str(path)]).exit_code == 2
     lines = Log(DEVICE).lines
     path.write_bytes(b"".join(line + b"\n" for line in [*lines[:3], *lines[4:]]))
     verified = runner.invoke(app, ["verify", str(path)])
-    assert verified.exit_code == 17
+    assert verified.exit_code == 7
     assert "wrong: record 4, line 4: record 3 is missing before it" in verified.stdout
     assert verified.stdout.splitlines()[-1] == "9 records, 4 captures: 1 findings"
     path.write_bytes(b"")
     empty = runner.invoke(app, ["verify", str(path)])
-    assert (empty.exit_code, "there is no record" in empty.stdout) == (17, True)
+    assert (empty.exit_code, "there is no record" in empty.stdout) == (7, True)
     assert "device" not in empty.stdout
 
 
@@ -87,7 +87,7 @@ def test_files_that_cannot_be_used_are_named(path: Path, tmp_path: Path) -> None
 
     def said(*options: str) -> str:
         refused = runner.invoke(app, ["verify", str(path), *options])
-        assert refused.exit_code == 13
+        assert refused.exit_code == 2
         return refused.stderr
 
     assert "captures.jsonl cannot be read" in said()

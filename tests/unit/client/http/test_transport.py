@@ -133,15 +133,15 @@ async def test_results_are_typed(both: Both) -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        (401, "unauthorized", AccessError, 10),
-        (403, "forbidden", AccessError, 10),
-        (403, "embedding_withheld", ApiError, 5),
-        (409, "rotation_impossible", ApiError, 5),
-        (422, "invalid_request", ApiError, 5),
-        (423, "leased", LeasedError, 12),
-        (429, "queue_full", BusyError, 6),
-        (503, "sensor_failed", DeviceError, 7),
-        (500, "internal_error", ApiError, 5),
+        (401, "unauthorized", AccessError, 4),
+        (403, "forbidden", AccessError, 4),
+        (403, "embedding_withheld", ApiError, 4),
+        (409, "rotation_impossible", ApiError, 4),
+        (422, "invalid_request", ApiError, 4),
+        (423, "leased", LeasedError, 5),
+        (429, "queue_full", BusyError, 5),
+        (503, "sensor_failed", DeviceError, 6),
+        (500, "internal_error", ApiError, 4),
     ],
 )
 async def test_problem_is_the_error_of_its_status(

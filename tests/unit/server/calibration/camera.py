@@ -14,7 +14,8 @@ from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
 from veilcam_server.calibration.rig import CalibrationScene, Geometry, Patterns
 from veilcam_server.devices.base import Device
-from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
+from veilcam_server.devices.simulated.device import Conditions, simulated_device
+from veilcam_server.devices.simulated.light import raw_shape
 
 GEOMETRY = Geometry(
     Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)

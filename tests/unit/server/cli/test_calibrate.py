@@ -89,15 +89,15 @@ def test_command_keeps_what_was_found(
 
 
 def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Path) -> None:
-    def refused(*options: str) -> str:
+    def refused(*options: str, code: int = 1) -> str:
         result = CliRunner().invoke(app, ["calibrate", "--simulate", *options])
-        assert result.exit_code == 1
+        assert result.exit_code == code
         assert len(result.stderr.splitlines()) == 1
         return result.stderr
 
     before = set(tmp_path.iterdir())
     state = ("--state-dir", str(tmp_path))
-    assert "--settle" in refused(*state, "--settle", "-1")
+    assert "--settle" in refused(*state, "--settle", "-1", code=2)
     assert set(tmp_path.iterdir()) == before
     assert "no such file" in refused(*state, "--bundle", "missing.veilcam")
     assert "--frame is for fresh masks" in refused(*state, "--frame", str(tmp_path / "frame"))

@@ -124,7 +124,7 @@ def test_masks_never_change(told: list[Any]) -> None:
     assert told[0].rotation == RotationOff()
     for more in ("--every-seconds=3", "--every-captures=3", "--jitter=0", "--reuse=0"):
         result = runner.invoke(app, ["serve", "--simulate", "--rotation-off", more])
-        assert result.exit_code == 1
+        assert result.exit_code == 2
         assert "with --rotation-off no mask changes" in result.stderr
 
 

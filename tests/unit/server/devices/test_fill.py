@@ -16,7 +16,8 @@ from veilcam_server.devices import SensorError
 from veilcam_server.devices.base import Measurement
 from veilcam_server.devices.imx477 import DRIVER
 from veilcam_server.devices.raw import SensorMode
-from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.devices.simulated.device import Conditions, simulated_device
+from veilcam_server.devices.simulated.light import planned_light
 
 SCENE = Scene(6, 5, height=0.026)
 ROWS, COLUMNS = 3, 4

@@ -11,7 +11,8 @@ import pytest
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_server.demo_data import BUNDLE, load_digits
-from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.devices.simulated.device import Conditions, simulated_device
+from veilcam_server.devices.simulated.light import planned_light
 from veilcam_server.masks.pairs import PairSource, load_pairs
 from veilcam_server.masks.source import transmittance
 from veilcam_training.bundle import Bundle, read_bundle

@@ -26,14 +26,13 @@ from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_optics.transfer.tables import Reach
 from veilcam_server.devices import SensorError
 from veilcam_server.devices.base import Measurement
-from veilcam_server.devices.simulated.device import (
+from veilcam_server.devices.simulated.device import Conditions, simulated_device
+from veilcam_server.devices.simulated.light import (
     DECODERS_TOLERANCE,
     TOLERANCE,
-    Conditions,
     Light,
     planned_light,
     raw_shape,
-    simulated_device,
 )
 from veilcam_server.devices.simulated.scenes import REMEMBERED, FileScene, write_scene
 
@@ -185,7 +184,7 @@ def test_light_that_takes_long_is_as_coarse_as_a_decoders(monkeypatch: pytest.Mo
         asked.append(where[3])
         return plan(*where, **how)
 
-    monkeypatch.setattr("veilcam_server.devices.simulated.device.plan", planned)
+    monkeypatch.setattr("veilcam_server.devices.simulated.light.plan", planned)
     planned_light(CAMERA, SCENE, EMBEDDING)
     planned_light(Camera(), Scene(), Embedding())
     assert asked == [TOLERANCE, TOLERANCE, DECODERS_TOLERANCE]
