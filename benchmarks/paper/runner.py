@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from benchmarks.figures import Origin
 from benchmarks.paper.grid import Cell
@@ -96,7 +96,12 @@ class CellRunner:
         )
         model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)
-        counts = confusion(source.test().labels, fitted.logits.argmax(1), len(source.labels))
+        test = source.test()
+        reader: nn.Module = model.reader()
+        if settings.fresh is not None:  # reads scenes that a decoder of the mask estimates
+            decoder = nn.Linear(model.encoder.setup.outputs, test.pixels[0].numel(), bias=False)
+            reader = nn.Sequential(decoder, reader)
+        counts = confusion(test.labels, fitted.logits.argmax(1), len(source.labels))
         hiding = None if bundle is None else bundle.hiding
         result = CellResult(
             settings=settings,
@@ -113,7 +118,7 @@ class CellRunner:
             hiding=None if hiding is None else _shares(hiding),
             seconds=seconds,
             clock=clock,
-            inference_seconds=time_label(model.reader(), model.encoder.setup.outputs),
+            inference_seconds=time_label(reader, model.encoder.setup.outputs),
             device=self.device.type,
             origin=Origin.here(),
             provenance=provenance(settings.model_dump(mode="json"), source.digests()),

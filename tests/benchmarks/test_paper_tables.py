@@ -97,6 +97,13 @@ def test_quick_table_is_run_once_and_reported(
     assert "is not the result of a cell" in str(run(*options).exception)
 
 
+@pytest.mark.thorough
+def test_fresh_cell_is_run(run: Run) -> None:
+    ended = run("--quick", "--encoders", "fresh", "--classifiers", "Scene8")
+    assert ended.exit_code == 0, ended.exception
+    assert "mnist_Scene8_fresh_3x4" in ended.output
+
+
 def finish(work: Path, test: float, **settings: object) -> CellResult:
     chosen = FitSettings.model_validate(settings)
     rows, columns = map(int, chosen.embedding.split("x"))
