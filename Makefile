@@ -228,6 +228,15 @@ test-clean-root: $(INSTALLED)
 accuracy: $(INSTALLED)
 	$(BIN)/python -m benchmarks.accuracy --out build/accuracy
 
+# Not part of test: the attacks of docs/privacy.md, in some 40 minutes, and the page.
+.PHONY: privacy-page
+DIGITS ?= data/mnist
+privacy-page: $(INSTALLED)
+	time -p $(BIN)/python -m benchmarks.privacy.listener --figures benchmarks/results/privacy.json
+	time -p $(BIN)/python -m benchmarks.privacy.scores --data $(DIGITS) --figures benchmarks/results/privacy.json
+	time -p $(BIN)/python -m benchmarks.privacy.memory --figures benchmarks/results/privacy.json
+	$(BIN)/python -m benchmarks.tables
+
 # Not part of test: it runs a room's tests for each mutant.
 COUNT ?= 100
 SEED ?= 1

@@ -45,12 +45,12 @@ HEADLINES: Mapping[str, str] = {
     "faces-gender_open_24x32@0.1": "faces_gender_fill",
     "faces-glasses_open_24x32@0.1": "faces_glasses_fill",
     "fashion_learned_24x32": "fashion_24x32",
-    "mnist_learned_24x32_shift": "mnist_shift",
+    "robust_shift_CNN16_hidden": "mnist_shift",
     "mnist_fresh_24x32": "fresh_mnist_24x32",
     "mnist_fresh_12x16": "fresh_mnist_12x16",
     "mnist_fresh_3x4": "fresh_mnist_3x4",
 }
-"""Figures of scene classifiers with a name of their own."""
+"""Figures with a name of their own."""
 PAPER_HEADS: Mapping[str, str] = {"mnist": "FC800", "fashion": "FC800", "cifar10": "VGG11"}
 """The paper's best classifier of each data set, which a scene classifier stands beside."""
 
@@ -115,7 +115,7 @@ class Place:
         name = f"{data}_{classifier}_{row.encoder}_{embedding}"
         if change != "none":
             name = f"robust_{change}_{row.classifier}_{row.encoder}"
-        return name + ("_point" if row.binning == "point" else "")
+        return HEADLINES.get(name, name) + ("_point" if row.binning == "point" else "")
 
     @property
     def paper(self) -> float | None:

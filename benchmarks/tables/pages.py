@@ -14,6 +14,7 @@ from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import FRESH, HIDING, REFUSED, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
 from benchmarks.tables.paper import paper_table, scores
+from benchmarks.tables.privacy import learned
 from benchmarks.tables.table import Figures, table
 from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, GUARD, KEYS, MORE_KEYS, SIEGE, cards
 from benchmarks.tables.watch import BELIEF
@@ -24,7 +25,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "CONTRIBUTING.md": [CHECKS],
     "README.md": [HIDING, HEADLINES],
     "deploy/README.md": [DEPLOYED, SIMULATED],
-    "docs/figures.md": [TRAINED | CELLS_READ | OWN_PICTURES, LIGHT, UNUSED, KEYS, DAEMON],
+    "docs/figures.md": [TRAINED | CELLS_READ | OWN_PICTURES, LIGHT, UNUSED, KEYS | MORE_KEYS | CAPTURE_LOG, DAEMON],
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
@@ -32,9 +33,9 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/bundle.md": [REFUSED],
     "docs/device.md": [fills],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+    "docs/privacy.md": [learned],
     "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],
-    "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [SERVED, CALIBRATED],
     "docs/tables/README.md": [
         scores,

@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from benchmarks.tables import privacy
 from benchmarks.tables.pages import PAGES as WITH_TABLES
 from benchmarks.tables.pages import with_tables
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -129,6 +130,7 @@ def test_figures_are_those_of_the_result_files() -> None:
     for name in WITH_TABLES:
         page = (ROOT / name).read_text()
         assert with_tables(name, page) == page, "run python -m benchmarks.tables"
+    assert privacy.MODULE.read_text() == privacy.module(), "run python -m benchmarks.tables"
 
 
 def test_every_dependency_has_its_reason() -> None:

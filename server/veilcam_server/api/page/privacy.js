@@ -1,11 +1,22 @@
 // Privacy: what leaves the camera, to whom, and what attacks on its masks found.
 
+import { get } from "./api.js";
 import { card, columns, empty, h } from "./dom.js";
 import { RELEASES, THREATS, day } from "./words.js";
 
 export function privacyView(camera) {
   const place = h("div", {});
+  const learned = h("ul", { class: "findings" });
   let drawn = "";
+
+  async function load() {
+    const { observers } = await get("/v1/privacy");
+    learned.replaceChildren(...observers.map(observer));
+  }
+
+  function observer({ who, learns, measured, switch: change }) {
+    return h("li", {}, h("b", {}, `Who ${who}`), h("span", {}, learns), h("span", {}, `Measured: ${measured}.`), h("span", {}, `Switch: ${change}.`));
+  }
 
   function leaves({ release, raw_budget: budget, receivers }) {
     return card(
@@ -92,7 +103,9 @@ export function privacyView(camera) {
       const now = JSON.stringify([status.release, status.raw_budget, status.receivers, status.bundle]);
       if (now === drawn) return;
       drawn = now;
-      place.replaceChildren(columns([leaves(status), received(status)], [masks(status)], [attacked(status)]));
+      load().catch((error) => learned.replaceChildren(h("li", { class: "empty" }, error.message)));
+      const answer = card("What can somebody learn from this camera?", learned);
+      place.replaceChildren(columns([answer], [leaves(status), received(status), masks(status)], [attacked(status)]));
     },
   };
 }

@@ -15,6 +15,7 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
+from veilcam_client.wire.privacy import Privacy
 from veilcam_client.wire.status import Diagnostics, DoctorFinding, DoctorFindings, Status
 from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
@@ -22,6 +23,7 @@ from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
 from veilcam_server.api.scopes import requires
 from veilcam_server.doctor.finding import Finding
+from veilcam_server.security.privacy import privacy_of
 
 Examine: TypeAlias = Callable[[], Iterable[Finding]]
 """What the doctor finds on the machine of a running daemon."""
@@ -117,6 +119,17 @@ async def doctor(request: Request) -> DoctorFindings:
     """
     checkups: Checkups = request.app.state.checkups
     return await checkups.findings()
+
+
+@router.get("/privacy", dependencies=[requires("read:status")], responses=problems())
+async def privacy(service: ServiceDep, admission: AdmissionDep) -> Privacy:
+    """Return what somebody can learn from this camera as it is set up, and the switch for it."""
+    given = admission.settings
+    return privacy_of(
+        service.release,
+        beat=given.get("beat") != "off",
+        full_scores=bool(given.get("full_scores")),
+    )
 
 
 @router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
