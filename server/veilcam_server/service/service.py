@@ -16,7 +16,7 @@ import structlog
 from veilcam_client import __version__
 from veilcam_client.keys.commitments import ID_DIGITS, NAME_DIGITS
 from veilcam_client.wire.base import API_VERSION
-from veilcam_client.wire.bundles import InstalledBundle
+from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -162,6 +162,11 @@ class Service:
         if self._bundles is None:
             raise ReplayingError
         return self._bundles
+
+    @property
+    def bundle(self) -> BundleInfo:
+        """Bundle in use."""
+        return self._identity.bundle
 
     @property
     def release(self) -> Release:
