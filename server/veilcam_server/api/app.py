@@ -101,6 +101,11 @@ def create_app(
     app.state.admission = admission
     app.state.checkups = diagnostics.Checkups(examine)
     app.state.metrics = metrics = Metrics(service, connections)
+    app.state.sizes = Sizes(
+        service,
+        partial(longest_bodies, settings=admission.settings),
+        admission.site.frame_ancestors,
+    )
     for routes in _ROUTES:
         app.include_router(routes.router)
     app.add_middleware(HeadRequests)
@@ -111,11 +116,7 @@ def create_app(
         open_paths=(*public.PATHS, *page.PATHS),
         passing=_PASSING,
         body=Body(MAX_BODY),
-        sizes=Sizes(
-            service,
-            partial(longest_bodies, settings=admission.settings),
-            admission.site.frame_ancestors,
-        ),
+        sizes=app.state.sizes,
         uploads={
             ("POST", bundles.PREFIX): Body(
                 service.upload_limit, (BUNDLE_MEDIA_TYPE,), required=True

@@ -13,8 +13,19 @@ from pydantic_core import to_json
 
 from veilcam_client.keys.blocks import NOTES_BYTES
 from veilcam_client.wire.base import Answer
+from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_client.wire.captures import Classification, Embedding, Replay, SealedEmbedding
-from veilcam_client.wire.events import EVENT_KINDS
+from veilcam_client.wire.events import (
+    EVENT_KINDS,
+    Believed,
+    BundleChanged,
+    CalibrationChanged,
+    Classified,
+    Event,
+    Fault,
+    StateChanged,
+    WatchChanged,
+)
 from veilcam_client.wire.rotation import EverySeconds, Preparation, Rotation
 from veilcam_client.wire.sealing import MOST_RECEIVERS, Envelope, PairedReceiver, Release, SealedKey
 from veilcam_client.wire.status import PastFault, PastState, Queue, Remedy, WallClock
@@ -28,7 +39,7 @@ from veilcam_client.wire.watch import (
 )
 from veilcam_server.api.problems import example_of
 from veilcam_server.api.routes.diagnostics import diagnostics_of
-from veilcam_server.api.sizes import CAPTURES, CLASSIFICATIONS, DIAGNOSTICS, STATUS, WATCH
+from veilcam_server.api.sizes import CAPTURES, CLASSIFICATIONS, DIAGNOSTICS, EVENTS, STATUS, WATCH
 from veilcam_server.errors import PROBLEMS
 from veilcam_server.service.events import LENGTH
 from veilcam_server.service.service import Service
@@ -109,7 +120,32 @@ def longest_bodies(service: Service, settings: Mapping[str, JsonValue]) -> Mappi
     )
     answers = {CLASSIFICATIONS: classification, WATCH: watch, STATUS: status}
     sizes = {path: _length(answer) for path, answer in {**answers, DIAGNOSTICS: diagnosed}.items()}
+    sizes[EVENTS] = max(
+        len(to_json(event)) + len(event.kind) for event in _events(watch, longest)
+    ) + len(f"event: \ndata: \nid: {_NAME[:8]}-{_COUNT}\n: \n\n")
     return {**sizes, CAPTURES: _length(classification.model_copy(update={"embedding": embedded}))}
+
+
+def _events(watch: Watch, label: str) -> tuple[Event, ...]:
+    """Return the longest events, of a watch and a label that are the longest."""
+    named: dict[str, Any] = {"id": f"{_NAME[:8]}-{_COUNT}", "at": _TIME}
+    run = CalibrationRun(
+        stage="measuring",
+        scene="dark",
+        instruction=None,
+        exposures=_COUNT,
+        total=_COUNT,
+        detail=_DETAIL,
+    )
+    return (
+        Believed(**named, belief=watch.belief, sighting=watch.history[0]),
+        Classified(**named, capture=_NAME[:16], epoch=_NAME, label=label),
+        WatchChanged(**named, policy=watch.policy, activity="on_request", detail=_DETAIL),
+        StateChanged(**named, state="calibrating", detail=_DETAIL, remedy=_REMEDY),
+        Fault(**named, code="calibration_impossible", detail=_DETAIL, remedy=_REMEDY),
+        BundleChanged(**named, digest=_DIGEST, task=64 * "t", version=_COUNT),
+        CalibrationChanged(**named, run=run),
+    )
 
 
 def _length(longest: Answer) -> int:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 
+from fastapi.sse import ServerSentEvent, format_sse_event
 from starlette.datastructures import MutableHeaders
 from starlette.types import Message, Scope, Send
 
@@ -19,6 +20,7 @@ from veilcam_server.service.service import Service
 
 CAPTURES, CLASSIFICATIONS = "/v1/captures", "/v1/classifications"
 WATCH, STATUS, DIAGNOSTICS = "/v1/watch", "/v1/status", "/v1/diagnostics"
+EVENTS = "/v1/events"
 PATHS = (CAPTURES, CLASSIFICATIONS, WATCH, STATUS, DIAGNOSTICS)
 """Routes of one size."""
 PADDING_HEADER = "Veilcam-Padding"
@@ -64,6 +66,13 @@ class Sizes:
             lengths = self._longest(service)
             self._bodies = {key: {name: _blocks(length) for name, length in lengths.items()}}
         return self._bodies[key][CAPTURES if embedding else path]
+
+    def filled(self, event: ServerSentEvent) -> ServerSentEvent:
+        """Return an event with a comment that gives it the size of all events."""
+        said = {"data_str": event.raw_data, "event": event.event, "id": event.id}
+        length = len(format_sse_event(**said, retry=event.retry, comment=""))
+        comment = " " * (_blocks(length, self.body(EVENTS, embedding=False)) - length)
+        return event.model_copy(update={"comment": comment})
 
     def padded(self, scope: Scope, send: Send) -> Send:
         """Return ``send`` for a request, with answers of one size where its route has one."""

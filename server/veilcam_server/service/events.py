@@ -9,14 +9,17 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 
 import structlog
 
-from veilcam_client.wire.events import Event, Fault, Gap, StateChanged
+from veilcam_client.wire.events import Classified, Event, Fault, Gap, Gone, Seen, StateChanged
 from veilcam_client.wire.status import PastFault, PastState
 from veilcam_server.system.systemd import notify
 
 CAPACITY = 1024
+LABELS = (Classified, Seen, Gone)
+"""Events for callers with the scope ``classify`` alone."""
 
 
 class EventLog:
@@ -30,6 +33,8 @@ class EventLog:
         self._boot = secrets.token_hex(4)
         self._events: deque[Event] = deque(maxlen=capacity)
         self._next = 0
+        self._state: Event | None = None
+        self._states = 0
         self._appended = asyncio.Event()
         self._closed = False
 
@@ -40,6 +45,12 @@ class EventLog:
         self._next += 1
         self._wake()
         return event
+
+    def tell(self, state: Event) -> None:
+        """Give whoever listens a state, which has no id; the last one alone is kept."""
+        self._state = state
+        self._states += 1
+        self._wake()
 
     def close(self) -> None:
         """End every listener's stream."""
@@ -58,6 +69,7 @@ class EventLog:
     async def _follow(
         self, last_event_id: str | None, heartbeat: float, position: int
     ) -> AsyncIterator[Event | None]:
+        told = 0
         if last_event_id is not None:
             seen = self._number(last_event_id)
             position = self._first if seen is None else seen + 1
@@ -70,6 +82,9 @@ class EventLog:
             elif position < self._next:
                 yield self._events[position - self._first]
                 position += 1
+            elif told < self._states and self._state is not None:
+                told = self._states
+                yield self._state
             else:
                 try:
                     async with asyncio.timeout(heartbeat):
@@ -136,12 +151,17 @@ class History:
 log = structlog.get_logger()
 
 
+def _renamed(event: Event, **named: object) -> Event:
+    """Return an event under another id."""
+    return event.model_copy(update=named)
+
+
 class EventPublisher:
     """Publishes what happens to whoever subscribed. Lives on one event loop, while it is open."""
 
     def __init__(self) -> None:
-        self.log = EventLog()
-        """What was published last, for event streams."""
+        self.log, self.public = EventLog(), EventLog()
+        """Last events, for streams; ``public``: without labels, and with ids of their own."""
         self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0
@@ -176,6 +196,8 @@ class EventPublisher:
 
     def _deliver(self, make: Callable[..., Event]) -> None:
         event = self.log.publish(make)
+        if not isinstance(event, LABELS):
+            self.public.publish(partial(_renamed, event))
         self._delivering = True
         try:
             for take in self._subscribers:

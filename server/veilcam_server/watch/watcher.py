@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.events import Event, Gone, Seen, WatchChanged
+from veilcam_client.wire.events import Believed, Event, Gone, Seen, WatchChanged
 from veilcam_client.wire.watch import (
     MOST_SIGHTINGS,
     Activity,
@@ -63,6 +63,7 @@ class Watched:
         look: function that takes a capture, of which nothing leaves, and returns its evidence.
         busy: function that tells whether a caller waits for the device.
         publish: function that takes events.
+        tell: function that takes states, which are not kept.
     """
 
     camera: CameraEngine
@@ -70,6 +71,7 @@ class Watched:
     look: Callable[[], Coroutine[Any, Any, Evidence]]
     busy: Callable[[], bool]
     publish: Publish
+    tell: Callable[[Event], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,7 @@ class WatchSetup:
         rests: reason for a panel that is opaque already, or None.
         thresholds: thresholds of captures of a thing.
         dynamics: rates at which things come and go.
+        beat: True: the whole state is told at each look's time; False: changes alone.
     """
 
     policy: WatchPolicy
@@ -91,6 +94,7 @@ class WatchSetup:
     rests: str | None = None
     thresholds: Thresholds = Thresholds()  # noqa: RUF009 - immutable
     dynamics: Dynamics = Dynamics()  # noqa: RUF009 - immutable
+    beat: bool = True
 
 
 def open_watch(
@@ -113,6 +117,7 @@ def open_watch(
         clock,
         rests=resting(policy, clock.now(), sure=clock.sure()),
         thresholds=thresholds if calibration is None else thresholds.calibrated(calibration.record),
+        beat=settings.beat == "on",
     )
 
 
@@ -143,6 +148,9 @@ class Watcher:
         self._fusion = Fusion(setup.thresholds, setup.dynamics, MOST_SIGHTINGS)
         self._looks, self._due, self._last = 0, clock(), clock()
         self._activity, self._detail = self._planned()
+        self._tick = clock() + self._period
+        if isinstance(self.policy, Watching):
+            self._tell_state()
 
     def state(self) -> Watch:
         """Return the activity, the belief and the history."""
@@ -198,6 +206,7 @@ class Watcher:
                 unkept = error
             changed, self.policy = policy != self.policy, policy
             self._due = self._clock()
+            self._tick = self._due + self._period
             try:
                 await self._settle()
             finally:
@@ -226,6 +235,18 @@ class Watcher:
         if not isinstance(self.policy, Watching) or self._rests is not None:
             return math.inf
         return max(0.0, self._due - self._clock())
+
+    def beat_due_in(self) -> float:
+        """Return the seconds until :meth:`beat` is due; inf if it never is."""
+        if not self._setup.beat or self.look_due_in() == math.inf:
+            return math.inf
+        return max(0.0, self._tick - self._clock())
+
+    async def beat(self) -> None:
+        """Tell the whole state, whatever came of the looks, at the scheduled time of one."""
+        # From the first tick on at fixed times: when a look ends may depend on the scene.
+        self._tick += self._period * (1 + max(0.0, self._clock() - self._tick) // self._period)
+        self._tell_state()
 
     async def look(self) -> None:
         """Take a capture, or give way to a caller.
@@ -282,6 +303,7 @@ class Watcher:
             with suppress(ProblemError):
                 await self._watched.on_device(camera.wake)
             self._due = self._last = self._clock()
+            self._tick = self._due + self._period
 
     def _reason(self) -> str | None:
         return resting(self.policy, self._now(), sure=self._setup.clock.sure())
@@ -303,10 +325,20 @@ class Watcher:
             self._watched.publish(
                 partial(WatchChanged, policy=self.policy, activity=activity, detail=detail)
             )
+            self._tell_state()
 
     def _tell(self, changes: Sequence[Change]) -> None:
-        for change in changes:
+        for change in () if self._setup.beat else changes:
             self._watched.publish(_event(change))
+
+    def _tell_state(self) -> None:
+        if not self._setup.beat:
+            return
+        state = self.state()
+        there = next((each for each in state.history[:1] if each.gone_at is None), None)
+        self._watched.tell(
+            Believed(id="", at=datetime.now(UTC), belief=state.belief, sighting=there)
+        )
 
 
 def _event(change: Change) -> Callable[..., Event]:

@@ -138,7 +138,7 @@ async def test_sizes_do_not_follow_the_history(
             await service.watcher.look()
         for path in (WATCH, STATUS, DIAGNOSTICS):
             found.add((path, size(await ask(client, path))))
-    assert max(histories) > 1
+    assert len(histories) > 1
     assert len(found) == 3
 
 
