@@ -13,7 +13,16 @@ from functools import partial
 
 import structlog
 
-from veilcam_client.wire.events import Classified, Event, Fault, Gap, Gone, Seen, StateChanged
+from veilcam_client.wire.events import (
+    Classified,
+    Event,
+    Fault,
+    Gap,
+    Gone,
+    Seen,
+    StateChanged,
+    WatchChanged,
+)
 from veilcam_client.wire.status import PastFault, PastState
 from veilcam_server.system.systemd import notify
 
@@ -120,11 +129,11 @@ LENGTH = 32
 
 
 class History:
-    """Takes note of every event."""
+    """Takes note of every event; its counts tell nothing of what is seen."""
 
     def __init__(self) -> None:
         self.events: Counter[str] = Counter()
-        """Events by kind."""
+        """Events by kind, without those of the watch."""
         self.faults: Counter[str] = Counter()
         """Faults by code."""
         self.last_states: deque[PastState] = deque(maxlen=LENGTH)
@@ -138,7 +147,8 @@ class History:
 
     def add(self, event: Event) -> None:
         """Take note of one event."""
-        self.events[event.kind] += 1
+        if not isinstance(event, Seen | Gone | WatchChanged):
+            self.events[event.kind] += 1
         if isinstance(event, Fault):
             self.faults[event.code] += 1
             self.last_faults.append(
@@ -165,7 +175,7 @@ class EventPublisher:
         self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0
-        self._delivering = False
+        self._delivering = self._waiting = False
 
     def subscribe(self, take: Callable[[Event], None]) -> None:
         """Let ``take`` have every event, on the event loop; it must neither block nor fail."""
@@ -196,7 +206,7 @@ class EventPublisher:
 
     def _deliver(self, make: Callable[..., Event]) -> None:
         event = self.log.publish(make)
-        if not isinstance(event, LABELS):
+        if self._is_public(event):
             self.public.publish(partial(_renamed, event))
         self._delivering = True
         try:
@@ -204,6 +214,14 @@ class EventPublisher:
                 take(event)
         finally:
             self._delivering = False
+
+    def _is_public(self, event: Event) -> bool:
+        """Return whether callers without the scope ``classify`` are told of an event."""
+        if not isinstance(event, WatchChanged):
+            return not isinstance(event, LABELS)
+        # A watch that waits may do so because the light changed, as somebody came.
+        before, self._waiting = self._waiting, event.activity == "waiting"
+        return not (self._waiting or (before and event.activity == "looking"))
 
 
 def log_event(event: Event) -> None:

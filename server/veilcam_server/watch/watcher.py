@@ -25,7 +25,7 @@ from veilcam_client.wire.watch import (
     WatchPolicy,
 )
 from veilcam_server.camera.engine import CameraEngine, Publish
-from veilcam_server.errors import ProblemError, StorageError
+from veilcam_server.errors import ProblemError, StorageError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system.clock import MachineClock
@@ -268,6 +268,11 @@ class Watcher:
         else:
             try:
                 evidence = await self._watched.look()
+            except UnsteadyLightError as error:
+                # No failure, and no retry: the light changes, too, when somebody comes.
+                self._due = max(self._due + period, self._clock())
+                self._note_miss("waiting", str(error))
+                return
             except ProblemError as error:
                 self._miss(0.0, "waiting", str(error))
                 raise
@@ -279,8 +284,12 @@ class Watcher:
                 self._tell(self._fusion.take(evidence, began))
 
     def _miss(self, seconds: float, activity: Activity, detail: str) -> None:
-        """Try again after some time; forget the belief once too many captures are missing."""
+        """Try again after some time."""
         self._due = self._clock() + seconds
+        self._note_miss(activity, detail)
+
+    def _note_miss(self, activity: Activity, detail: str) -> None:
+        """Forget the belief once too many captures are missing."""
         missing = self._clock() - self._last
         if missing > _PATIENCE * max(1.0, self._period):
             self._enter(activity, detail)

@@ -43,7 +43,10 @@ async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy)
 def _told(found: Watch, caller: Caller) -> Watch:
     """Return a watch as a caller may see it."""
     if not caller.may("classify"):
-        return found.model_copy(update={"belief": None, "history": ()})
+        # A watch that waits may do so because the light changed, as somebody came.
+        activity = "looking" if found.activity == "waiting" else found.activity
+        shown = {"activity": activity, "detail": None} if activity != found.activity else {}
+        return found.model_copy(update={"belief": None, "history": (), "looks": 0, **shown})
     scores, belief = scores_for(caller), found.belief
     if belief is not None:
         belief = told_sight(belief, scores)

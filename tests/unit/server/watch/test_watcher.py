@@ -24,7 +24,7 @@ from veilcam_client.wire.watch import (
 )
 from veilcam_server.camera.engine import Condition
 from veilcam_server.devices.errors import DisplayError, SensorError
-from veilcam_server.errors import ProblemError, StorageError, UndecidedError
+from veilcam_server.errors import ProblemError, StorageError, UndecidedError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system import clock as clock_of_machine
@@ -534,3 +534,17 @@ async def test_state_of_a_look_is_told_at_the_next_tick(make: Callable[..., Benc
     await bench.pass_time(0.1)
     (_, state) = bench.states[-1]
     assert (state.belief.label, state.belief.looks) == ("a", 1)
+
+
+async def test_look_at_changing_light_is_missed_and_raises_no_alarm(
+    make: Callable[..., Bench],
+) -> None:
+    bench = make(sees="a")
+    await bench.pass_time(2.0)
+    bench.fault = UnsteadyLightError("the light changed: try again")
+    await bench.pass_time(4.0)
+    assert bench.times == [100 + 0.5 * number for number in range(13)]
+    assert bench.activities == ["waiting"]
+    bench.fault = None
+    await bench.pass_time(1.0)
+    assert bench.activities == ["waiting", "looking"]
