@@ -46,7 +46,7 @@ _SHORTEST = 6e-5
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
 
-_WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_hours"))
+_WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_hours", "beat"))
 """Settings that are one of a few words, a rate or times of day."""
 
 _REPLAYED = frozenset(
@@ -112,6 +112,9 @@ class Settings(CallerLimits, Wiring):
     is opaque then."""
     watch_threshold: float = Field(default=0.6, ge=0.5, le=0.95)
     """Probability from which the watch says that a thing is there."""
+    beat: Literal["on", "off"] = "on"
+    """on: while it looks by itself, each event stream gets the whole state at the time of each
+    look. off, for metered lines: changes alone, so that a listener sees when things come and go."""
     calibration: Path | None = None
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""

@@ -9,6 +9,7 @@ from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
 from veilcam_client.wire.events import (
+    Believed,
     BundleChanged,
     CalibrationChanged,
     CaptureTaken,
@@ -278,12 +279,14 @@ def _taken_in_words(event: Classified | CaptureTaken) -> str:
 
 
 def _rare_in_words(
-    event: RotationChanged | WatchChanged | CalibrationChanged | Fault | Gap,
+    event: RotationChanged | WatchChanged | Believed | CalibrationChanged | Fault | Gap,
 ) -> str:
     if isinstance(event, RotationChanged):
         return policy_in_words(event.policy)
     if isinstance(event, WatchChanged):
         return activity_in_words(event.policy, event.activity, event.detail)
+    if isinstance(event, Believed):
+        return "nothing" if event.sighting is None else event.sighting.label
     if isinstance(event, CalibrationChanged):
         return run_in_words(event.run)
     if isinstance(event, Fault):

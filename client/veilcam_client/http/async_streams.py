@@ -98,8 +98,8 @@ async def _follow(
         try:
             async with aclosing(_connect(transport, resumption, end)) as events:
                 async for event in events:
-                    resumption.heard(event)
-                    yield event
+                    for told in resumption.heard(event):
+                        yield told
         except VeilcamError as error:
             if end.is_set():
                 return

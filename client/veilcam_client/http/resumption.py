@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from veilcam_client.arguments import of_type
 from veilcam_client.errors import ArgumentError, RequestTimeoutError, VeilcamError
 from veilcam_client.http.options import STREAM_SILENCE, Options, log
-from veilcam_client.wire.events import Event, Gap
+from veilcam_client.wire.events import Believed, Event, Gap, Gone, Seen
+from veilcam_client.wire.watch import Sighting
 
 LONGEST_PAUSE = 30.0
 """Before a stream is opened again [s]."""
@@ -40,6 +41,8 @@ class Resumption:
         self._options, self._last, self._reconnect = options, last_event_id, reconnect
         self._failed = 0
         self._answered = False
+        self._believed = False
+        self._there: Sighting | None = None
         self._opened: float | None = None
         """Start of the present connection, None where there is none."""
 
@@ -56,10 +59,36 @@ class Resumption:
         if again and self._last is None:
             yield Gap(id="", at=datetime.now(UTC))
 
-    def heard(self, event: Event) -> None:
-        """Note an event: the stream goes on after it."""
+    def heard(self, event: Event) -> Iterator[Event]:
+        """Note an event, after which the stream goes on; yield what it tells of."""
         if event.id:
             self._last = event.id
+        if not isinstance(event, Believed):
+            yield event
+            return
+        before, now, first = self._there, event.sighting, not self._believed
+        self._there, self._believed = now, True
+        if first or _stays(before, now):
+            return
+        if before is not None:
+            # In tenths, it is sure: an object counts as gone from .95 on.
+            sure = None if before.confidence is None or event.belief is None else 1.0
+            yield Gone(
+                id="",
+                at=event.at,
+                label=before.label,
+                confidence=sure,
+                duration_s=before.duration_s,
+                reason="not_looking" if event.belief is None else "left",
+            )
+        if now is not None:
+            yield Seen(
+                id="",
+                at=event.at,
+                label=now.label,
+                confidence=now.confidence,
+                duration_s=now.duration_s,
+            )
 
     def pause(self, error: VeilcamError) -> float:
         """Seconds to wait before the next connection, or raise what no waiting puts right."""
@@ -86,3 +115,10 @@ class Resumption:
             return 0.0
         silent = STREAM_SILENCE if isinstance(error, RequestTimeoutError) else 0.0
         return time.monotonic() - self._opened - silent
+
+
+def _stays(before: Sighting | None, now: Sighting | None) -> bool:
+    """Return whether nothing came or went between two states."""
+    if before is None or now is None:
+        return before is now
+    return before.label == now.label and before.duration_s <= now.duration_s

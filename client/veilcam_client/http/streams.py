@@ -95,8 +95,8 @@ def _follow(transport: Transport, resumption: Resumption, end: End) -> Generator
         try:
             with closing(_connect(transport, resumption, end)) as events:
                 for event in events:
-                    resumption.heard(event)
-                    yield event
+                    for told in resumption.heard(event):
+                        yield told
         except VeilcamError as error:
             if end.is_set():
                 return

@@ -11,7 +11,7 @@ from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Exampl
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.status import Remedy, State
-from veilcam_client.wire.watch import Activity, WatchPolicy
+from veilcam_client.wire.watch import Activity, Belief, Sighting, WatchPolicy
 
 
 class _Event(Answer):
@@ -91,6 +91,21 @@ class WatchChanged(_Event):
     """Activity from now on."""
     detail: str | None = None
     """Why it does not look."""
+
+
+class Believed(_Event):
+    """Whole state of a camera that looks by itself, told at the scheduled time of each look.
+
+    It has no id, and none is kept. The SDK makes :class:`Seen` and :class:`Gone` of what differs
+    from one to the next.
+    """
+
+    kind: Literal["belief"] = "belief"
+    """Kind of the event."""
+    belief: Belief | None = None
+    """Belief after the look before; None while the camera does not look."""
+    sighting: Sighting | None = None
+    """Object that is there; None: there is none."""
 
 
 class Seen(_Event):
@@ -175,6 +190,7 @@ Event = Annotated[
     | Classified
     | RotationChanged
     | WatchChanged
+    | Believed
     | Seen
     | Gone
     | BundleChanged
@@ -187,8 +203,8 @@ Event = Annotated[
 EVENT: TypeAdapter[Event] = TypeAdapter(Event, config=ConfigDict(defer_build=True))
 EVENT_KINDS = frozenset(
     (
-        *("state", "mask", "capture", "classification", "rotation", "watch", "seen", "gone"),
-        *("bundle", "calibration", "fault", "gap"),
+        *("state", "mask", "capture", "classification", "rotation", "watch", "belief", "seen"),
+        *("gone", "bundle", "calibration", "fault", "gap"),
     )
 )
 

@@ -153,7 +153,7 @@ class Watch(Answer):
     detail: str | None = None
     """Why it does not look."""
     looks: int
-    """Captures of its own since the start."""
+    """Captures of its own since the start; 0 without the scope ``classify``."""
     belief: Belief | None = None
     """None while it does not look, and without the scope ``classify``."""
     history: tuple[Sighting, ...] = ()

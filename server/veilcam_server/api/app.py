@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 
 from fastapi import FastAPI
 
@@ -12,6 +13,7 @@ from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api import problems
 from veilcam_server.api.head import HeadRequests
+from veilcam_server.api.longest import longest_bodies
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.middleware import Body, RequestContext
 from veilcam_server.api.routes import (
@@ -31,6 +33,7 @@ from veilcam_server.api.routes import (
     tokens,
     watch,
 )
+from veilcam_server.api.sizes import Sizes
 from veilcam_server.gate.protocol import Connections
 from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
@@ -98,6 +101,11 @@ def create_app(
     app.state.admission = admission
     app.state.checkups = diagnostics.Checkups(examine)
     app.state.metrics = metrics = Metrics(service, connections)
+    app.state.sizes = Sizes(
+        service,
+        partial(longest_bodies, settings=admission.settings),
+        admission.site.frame_ancestors,
+    )
     for routes in _ROUTES:
         app.include_router(routes.router)
     app.add_middleware(HeadRequests)
@@ -108,6 +116,7 @@ def create_app(
         open_paths=(*public.PATHS, *page.PATHS),
         passing=_PASSING,
         body=Body(MAX_BODY),
+        sizes=app.state.sizes,
         uploads={
             ("POST", bundles.PREFIX): Body(
                 service.upload_limit, (BUNDLE_MEDIA_TYPE,), required=True

@@ -19,25 +19,20 @@ KNOWN: dict[int | str, dict[str, Any]] = {
 _TAG = re.compile(r'"([\x21\x23-\x7e]*)"')
 
 
-def unless_known(
-    answer: BaseModel, if_none_match: str, *, aging: dict[str, Any] | None = None
-) -> Response:
+def unless_known(answer: BaseModel, if_none_match: str) -> Response:
     """Return ``answer`` with its ETag, or 304 without a body where the caller has it.
-
-    The tag is weak: it tells what an answer says, but for how long something has lasted.
 
     Args:
         answer: answer to send.
         if_none_match: header of the request, empty where it has none.
-        aging: fields that only tell that time goes by, as pydantic excludes them.
     """
-    said = answer.model_dump_json(exclude=aging)
+    said = answer.model_dump_json()
     tag = hashlib.sha256(said.encode()).hexdigest()[:32]
     # Kept by who asked and by nobody else, and only to ask whether it still holds.
     headers = {"ETag": f'W/"{tag}"', "Cache-Control": "private, no-cache"}
     if has(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
+    return Response(said, headers=headers, media_type="application/json")
 
 
 def has(if_none_match: str, tag: str) -> bool:

@@ -22,6 +22,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from veilcam_client.wire.base import RUN_HEADER
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.problems import error_response, problem_response
+from veilcam_server.api.sizes import Sizes
 from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.headers import call_header, security_headers
@@ -87,10 +88,11 @@ class RequestContext:
         passing: Collection[str],
         body: Body,
         uploads: Mapping[tuple[str, str], Body],
+        sizes: Sizes,
     ) -> None:
         self._app, self._admission, self._metrics = app, admission, metrics
         self._open_paths, self._body, self._uploads = open_paths, body, uploads
-        self._passing = passing
+        self._passing, self._sizes = passing, sizes
         self._headers = security_headers(admission.site.frame_ancestors)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -113,6 +115,7 @@ class RequestContext:
         begun = time.monotonic()
 
         answer = _Answer()
+        send = self._sizes.padded(scope, send)
         send_with_id = self._sender(scope, receive, send, answer)
 
         try:

@@ -19,6 +19,7 @@ from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
 from veilcam_server.api.samples import code_samples
+from veilcam_server.api.sizes import PADDING_HEADER, PATHS
 from veilcam_server.errors import PROBLEMS
 
 TAGS: Mapping[str, str] = {
@@ -43,6 +44,7 @@ _HEADERS: Mapping[str, tuple[str, str]] = {
     CALL_HEADER: ("That of the request, where it sent 32 hexadecimal digits.", "5ca1ab1e" * 4),
     RUN_HEADER: ("Name of this run of the daemon.", "c0ffee00" * 4),
     "Cache-Control": ("Nobody keeps it, but for who asks again with its `ETag`.", "no-store"),
+    PADDING_HEADER: ("Fills up the head of an answer, which has one size.", "000"),
     "ETag": ("Send it as `If-None-Match`: 304 as long as it holds.", 'W/"0f0f"'),
     "Retry-After": ("Before the same request may succeed [s].", "1"),
     "WWW-Authenticate": ("That a token is wanted.", 'Bearer realm="veilcam"'),
@@ -56,7 +58,11 @@ _HEADERS: Mapping[str, tuple[str, str]] = {
     "Veilcam-Replay-Capture": ("Which capture that was.", "c0ffee00"),
 }
 _ALWAYS = ("X-Request-Id", CALL_HEADER, RUN_HEADER, "Cache-Control")
-_OF_ARRAYS = tuple(name for name in _HEADERS if name.startswith("Veilcam-") and name not in _ALWAYS)
+_OF_ARRAYS = tuple(
+    name
+    for name in _HEADERS
+    if name.startswith("Veilcam-") and name not in (*_ALWAYS, PADDING_HEADER)
+)
 (_EVENT,) = events.EXAMPLES
 _TEXTS = {
     "text/plain": metrics.EXAMPLE,
@@ -89,7 +95,7 @@ def document(app: FastAPI, root_path: str = "") -> dict[str, Any]:
         for path, operations in found["paths"].items():
             for method, operation in operations.items():
                 _add_examples(operation)
-                _add_headers(operation)
+                _add_headers(operation, padded=path in PATHS)
                 operation["x-codeSamples"] = code_samples(
                     operation["operationId"], method.upper(), path, token="security" in operation
                 )
@@ -103,9 +109,9 @@ def _add_problem(found: dict[str, Any]) -> None:
     schemas["Problem"] = schema
 
 
-def _add_headers(operation: dict[str, Any]) -> None:
+def _add_headers(operation: dict[str, Any], *, padded: bool) -> None:
     for status, answer in operation["responses"].items():
-        names = [*_ALWAYS]
+        names = [*_ALWAYS, PADDING_HEADER] if padded else [*_ALWAYS]
         codes = answer["description"].split(", ") if status >= "400" else []
         if any(code in PROBLEMS and PROBLEMS[code].retryable for code in codes):
             names.append("Retry-After")

@@ -19,7 +19,7 @@ def privacy(settings: Settings, *, json: JsonOption = False) -> None:
     from veilcam_server.security.privacy import privacy_of  # noqa: PLC0415
 
     found = privacy_of(
-        settings.release, beat=settings.beat == "on", full_scores=settings.full_scores
+        settings.release or "sealed", beat=settings.beat == "on", full_scores=settings.full_scores
     )
     if json:
         typer.echo(found.model_dump_json(indent=2))

@@ -9,14 +9,26 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 
 import structlog
 
-from veilcam_client.wire.events import Event, Fault, Gap, StateChanged
+from veilcam_client.wire.events import (
+    Classified,
+    Event,
+    Fault,
+    Gap,
+    Gone,
+    Seen,
+    StateChanged,
+    WatchChanged,
+)
 from veilcam_client.wire.status import PastFault, PastState
 from veilcam_server.system.systemd import notify
 
 CAPACITY = 1024
+LABELS = (Classified, Seen, Gone)
+"""Events for callers with the scope ``classify`` alone."""
 
 
 class EventLog:
@@ -30,6 +42,8 @@ class EventLog:
         self._boot = secrets.token_hex(4)
         self._events: deque[Event] = deque(maxlen=capacity)
         self._next = 0
+        self._state: Event | None = None
+        self._states = 0
         self._appended = asyncio.Event()
         self._closed = False
 
@@ -40,6 +54,12 @@ class EventLog:
         self._next += 1
         self._wake()
         return event
+
+    def tell(self, state: Event) -> None:
+        """Give whoever listens a state, which has no id; the last one alone is kept."""
+        self._state = state
+        self._states += 1
+        self._wake()
 
     def close(self) -> None:
         """End every listener's stream."""
@@ -58,6 +78,7 @@ class EventLog:
     async def _follow(
         self, last_event_id: str | None, heartbeat: float, position: int
     ) -> AsyncIterator[Event | None]:
+        told = 0
         if last_event_id is not None:
             seen = self._number(last_event_id)
             position = self._first if seen is None else seen + 1
@@ -70,6 +91,9 @@ class EventLog:
             elif position < self._next:
                 yield self._events[position - self._first]
                 position += 1
+            elif told < self._states and self._state is not None:
+                told = self._states
+                yield self._state
             else:
                 try:
                     async with asyncio.timeout(heartbeat):
@@ -105,11 +129,11 @@ LENGTH = 32
 
 
 class History:
-    """Takes note of every event."""
+    """Takes note of every event; its counts tell nothing of what is seen."""
 
     def __init__(self) -> None:
         self.events: Counter[str] = Counter()
-        """Events by kind."""
+        """Events by kind, without those of the watch."""
         self.faults: Counter[str] = Counter()
         """Faults by code."""
         self.last_states: deque[PastState] = deque(maxlen=LENGTH)
@@ -123,7 +147,8 @@ class History:
 
     def add(self, event: Event) -> None:
         """Take note of one event."""
-        self.events[event.kind] += 1
+        if not isinstance(event, Seen | Gone | WatchChanged):
+            self.events[event.kind] += 1
         if isinstance(event, Fault):
             self.faults[event.code] += 1
             self.last_faults.append(
@@ -136,16 +161,21 @@ class History:
 log = structlog.get_logger()
 
 
+def _renamed(event: Event, **named: object) -> Event:
+    """Return an event under another id."""
+    return event.model_copy(update=named)
+
+
 class EventPublisher:
     """Publishes what happens to whoever subscribed. Lives on one event loop, while it is open."""
 
     def __init__(self) -> None:
-        self.log = EventLog()
-        """What was published last, for event streams."""
+        self.log, self.public = EventLog(), EventLog()
+        """Last events, for streams; ``public``: without labels, and with ids of their own."""
         self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0
-        self._delivering = False
+        self._delivering = self._waiting = False
 
     def subscribe(self, take: Callable[[Event], None]) -> None:
         """Let ``take`` have every event, on the event loop; it must neither block nor fail."""
@@ -176,12 +206,22 @@ class EventPublisher:
 
     def _deliver(self, make: Callable[..., Event]) -> None:
         event = self.log.publish(make)
+        if self._is_public(event):
+            self.public.publish(partial(_renamed, event))
         self._delivering = True
         try:
             for take in self._subscribers:
                 take(event)
         finally:
             self._delivering = False
+
+    def _is_public(self, event: Event) -> bool:
+        """Return whether callers without the scope ``classify`` are told of an event."""
+        if not isinstance(event, WatchChanged):
+            return not isinstance(event, LABELS)
+        # A watch that waits may do so because the light changed, as somebody came.
+        before, self._waiting = self._waiting, event.activity == "waiting"
+        return not (self._waiting or (before and event.activity == "looking"))
 
 
 def log_event(event: Event) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, TypeVar
 
 from veilcam_client.keys.commitments import answer_digest
 from veilcam_client.wire.captures import (
@@ -18,7 +18,11 @@ from veilcam_client.wire.captures import (
     Prediction,
     SealedEmbedding,
 )
+from veilcam_client.wire.events import Gone, Seen
+from veilcam_client.wire.watch import Belief, Sighting
 from veilcam_server.camera.capture import Captured, Provenance
+
+SightT = TypeVar("SightT", Belief, Sighting, Seen, Gone)
 
 AGE_STEP = 60
 """Step of the age of a self test in the log [s]: when light ended one early is not told."""
@@ -96,6 +100,11 @@ def told_confidence(confidence: float | None, scores: Scores) -> float | None:
     if confidence is None or scores == "none":
         return None
     return confidence if scores == "all" else round(confidence, 1)
+
+
+def told_sight(sight: SightT, scores: Scores) -> SightT:
+    """Return a sight with its probability as a caller may see it."""
+    return sight.model_copy(update={"confidence": told_confidence(sight.confidence, scores)})
 
 
 def _tenths(scores: Mapping[str, float] | None) -> Mapping[str, float] | None:

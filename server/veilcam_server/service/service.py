@@ -16,7 +16,7 @@ import structlog
 from veilcam_client import __version__
 from veilcam_client.keys.commitments import ID_DIGITS, NAME_DIGITS
 from veilcam_client.wire.base import API_VERSION
-from veilcam_client.wire.bundles import InstalledBundle
+from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -86,9 +86,11 @@ class Service:
         self._clock = MachineClock() if camera.watch is None else camera.watch.clock
         if camera.watch is not None:
             busy = lambda: self._queue.waiting > 0  # noqa: E731
-            watched = Watched(self._camera, self._queue.run, self._look, busy, publish)
+            tell = self._events.log.tell
+            watched = Watched(self._camera, self._queue.run, self._look, busy, publish, tell)
             self._watcher = Watcher(camera.watch, watched)
             self._scheduler.add("watch", self._watcher.look_due_in, self._watcher.look)
+            self._scheduler.add("beat", self._watcher.beat_due_in, self._watcher.beat)
             self._scheduler.add("quiet hours", self._watcher.rest_due_in, self._watcher.rest)
         self.calibration = camera.calibration
         if self._bundles is not None:
@@ -155,6 +157,7 @@ class Service:
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
         self._events.log.close()
+        self._events.public.close()
 
     @property
     def bundles(self) -> BundleManager:
@@ -162,6 +165,11 @@ class Service:
         if self._bundles is None:
             raise ReplayingError
         return self._bundles
+
+    @property
+    def bundle(self) -> BundleInfo:
+        """Bundle in use."""
+        return self._identity.bundle
 
     @property
     def release(self) -> Release:
@@ -353,9 +361,17 @@ class Service:
             )
         )
 
-    def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
-        """Events after ``last_event_id``; None is a heartbeat."""
-        return self._events.log.follow(last_event_id, self._heartbeat)
+    def events(
+        self, last_event_id: str | None, *, labels: bool = True
+    ) -> AsyncIterator[Event | None]:
+        """Events after ``last_event_id``; None is a heartbeat.
+
+        Args:
+            last_event_id: the last one the listener has seen; None: all from this call on.
+            labels: True: those that tell labels are among them, and the states of the watch.
+        """
+        events = self._events.log if labels else self._events.public
+        return events.follow(last_event_id, self._heartbeat)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:

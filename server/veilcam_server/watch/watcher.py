@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Literal
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.events import Event, Gone, Seen, WatchChanged
+from veilcam_client.wire.events import Believed, Event, Gone, Seen, WatchChanged
 from veilcam_client.wire.watch import (
     MOST_SIGHTINGS,
     Activity,
@@ -25,7 +25,7 @@ from veilcam_client.wire.watch import (
     WatchPolicy,
 )
 from veilcam_server.camera.engine import CameraEngine, OnDevice, Publish
-from veilcam_server.errors import ProblemError, StorageError
+from veilcam_server.errors import ProblemError, StorageError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system.clock import MachineClock
@@ -52,6 +52,7 @@ class Watched:
         look: function that takes a capture, of which nothing leaves, and returns its evidence.
         busy: function that tells whether a caller waits for the device.
         publish: function that takes events.
+        tell: function that takes states, which are not kept.
     """
 
     camera: CameraEngine
@@ -59,6 +60,7 @@ class Watched:
     look: Callable[[], Coroutine[Any, Any, Evidence]]
     busy: Callable[[], bool]
     publish: Publish
+    tell: Callable[[Event], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,7 @@ class WatchSetup:
         rests: reason for a panel that is opaque already, or None.
         thresholds: thresholds of captures of a thing.
         dynamics: rates at which things come and go.
+        beat: True: the whole state is told at each look's time; False: changes alone.
     """
 
     policy: WatchPolicy
@@ -80,6 +83,7 @@ class WatchSetup:
     rests: str | None = None
     thresholds: Thresholds = Thresholds()  # noqa: RUF009 - immutable
     dynamics: Dynamics = Dynamics()  # noqa: RUF009 - immutable
+    beat: bool = True
 
 
 def open_watch(
@@ -102,6 +106,7 @@ def open_watch(
         clock,
         rests=resting(policy, clock.now(), sure=clock.sure()),
         thresholds=thresholds if calibration is None else thresholds.calibrated(calibration.record),
+        beat=settings.beat == "on",
     )
 
 
@@ -132,6 +137,9 @@ class Watcher:
         self._fusion = Fusion(setup.thresholds, setup.dynamics, MOST_SIGHTINGS)
         self._looks, self._due, self._last = 0, clock(), clock()
         self._activity, self._detail = self._planned()
+        self._tick = clock() + self._period
+        if isinstance(self.policy, Watching):
+            self._tell_state()
 
     def state(self) -> Watch:
         """Return the activity, the belief and the history."""
@@ -187,6 +195,7 @@ class Watcher:
                 unkept = error
             changed, self.policy = policy != self.policy, policy
             self._due = self._clock()
+            self._tick = self._due + self._period
             try:
                 await self._settle()
             finally:
@@ -216,6 +225,18 @@ class Watcher:
             return math.inf
         return max(0.0, self._due - self._clock())
 
+    def beat_due_in(self) -> float:
+        """Return the seconds until :meth:`beat` is due; inf if it never is."""
+        if not self._setup.beat or self.look_due_in() == math.inf:
+            return math.inf
+        return max(0.0, self._tick - self._clock())
+
+    async def beat(self) -> None:
+        """Tell the whole state, whatever came of the looks, at the scheduled time of one."""
+        # From the first tick on at fixed times: when a look ends may depend on the scene.
+        self._tick += self._period * (1 + max(0.0, self._clock() - self._tick) // self._period)
+        self._tell_state()
+
     async def look(self) -> None:
         """Take a capture, or give way to a caller.
 
@@ -236,6 +257,11 @@ class Watcher:
         else:
             try:
                 evidence = await self._watched.look()
+            except UnsteadyLightError as error:
+                # No failure, and no retry: the light changes, too, when somebody comes.
+                self._due = max(self._due + period, self._clock())
+                self._note_miss("waiting", str(error))
+                return
             except ProblemError as error:
                 self._miss(0.0, "waiting", str(error))
                 raise
@@ -247,8 +273,12 @@ class Watcher:
                 self._tell(self._fusion.take(evidence, began))
 
     def _miss(self, seconds: float, activity: Activity, detail: str) -> None:
-        """Try again after some time; forget the belief once too many captures are missing."""
+        """Try again after some time."""
         self._due = self._clock() + seconds
+        self._note_miss(activity, detail)
+
+    def _note_miss(self, activity: Activity, detail: str) -> None:
+        """Forget the belief once too many captures are missing."""
         missing = self._clock() - self._last
         if missing > _PATIENCE * max(1.0, self._period):
             self._enter(activity, detail)
@@ -271,6 +301,7 @@ class Watcher:
             with suppress(ProblemError):
                 await self._watched.on_device(camera.wake)
             self._due = self._last = self._clock()
+            self._tick = self._due + self._period
 
     def _reason(self) -> str | None:
         return resting(self.policy, self._now(), sure=self._setup.clock.sure())
@@ -292,10 +323,20 @@ class Watcher:
             self._watched.publish(
                 partial(WatchChanged, policy=self.policy, activity=activity, detail=detail)
             )
+            self._tell_state()
 
     def _tell(self, changes: Sequence[Change]) -> None:
-        for change in changes:
+        for change in () if self._setup.beat else changes:
             self._watched.publish(_event(change))
+
+    def _tell_state(self) -> None:
+        if not self._setup.beat:
+            return
+        state = self.state()
+        there = next((each for each in state.history[:1] if each.gone_at is None), None)
+        self._watched.tell(
+            Believed(id="", at=datetime.now(UTC), belief=state.belief, sighting=there)
+        )
 
 
 def _event(change: Change) -> Callable[..., Event]:

@@ -9,6 +9,7 @@ import { liveView } from "./live.js";
 import { logView } from "./log.js";
 import { privacyView } from "./privacy.js";
 import { tokensView } from "./tokens.js";
+import { changes, withChange } from "./sights.js";
 import { STATES } from "./words.js";
 
 const KEPT = 200;
@@ -24,7 +25,7 @@ const VIEWS = {
 };
 // After these events the status is another one, or what it sees is.
 const TELLING = new Set(["state", "mask", "rotation", "bundle", "calibration", "capture", "gap"]);
-const WATCHED = new Set(["seen", "gone", "watch", "gap"]);
+const WATCHED = new Set(["watch", "gap"]);
 
 const main = document.getElementById("main");
 const nav = document.getElementById("views");
@@ -87,6 +88,14 @@ function warn(text) {
 }
 
 function take(event) {
+  if (event.kind === "belief") {
+    // What is seen is told, and nothing is asked for: who listens learns nothing from that.
+    for (const each of changes(camera.watch?.history[0], event)) take(each);
+    if (camera.watch) camera.watch.belief = event.belief;
+    update(event);
+    return;
+  }
+  camera.watch = withChange(camera.watch, event);
   // What comes often does not push out the rest.
   const often = OFTEN.has(event.kind);
   const alike = camera.events.filter((each) => OFTEN.has(each.kind) === often);
@@ -112,7 +121,7 @@ async function follow() {
         main.removeAttribute("aria-busy");
       });
       for await (const event of heard) {
-        last = event.id;
+        if (event.id) last = event.id;
         take(event);
       }
     } catch (error) {

@@ -3,7 +3,7 @@
 import { card, empty, h } from "./dom.js";
 import { clock, eventText } from "./words.js";
 
-export const OFTEN = new Set(["mask", "capture"]);
+export const OFTEN = new Set(["mask", "capture", "belief"]);
 
 export function eventsView(camera) {
   const list = h("ol", { class: "events", tabindex: "0", "aria-label": "Events" });

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Header
+from fastapi import APIRouter, Header, Request
 from fastapi.responses import Response
 
 from veilcam_client.wire.captures import (
@@ -40,6 +40,7 @@ router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Captures"])
     },
 )
 async def capture(
+    request: Request,
     service: ServiceDep,
     caller: CallerDep,
     once: OnceDep,
@@ -56,6 +57,7 @@ async def capture(
             "not_acceptable", f"captures come as application/json or {NPY_MEDIA_TYPE}"
         )
     array_alone = preferred(accept, ("application/json",)) is None
+    request.state.embedding = service.release == "sealed" or media_type != NPY_MEDIA_TYPE
     if array_alone:
         _require_array(service.release)
     taken = await once(lambda: service.capture(caller.id))
@@ -90,6 +92,7 @@ def _array(taken: Capture, embedding: Embedding) -> Response:
     responses=problems(*_REFUSALS, "inference_failed"),
 )
 async def classify(
+    request: Request,
     service: ServiceDep,
     caller: CallerDep,
     once: OnceDep,
@@ -100,6 +103,7 @@ async def classify(
     Scores are told for `read:scores`, in tenths unless the daemon tells them in full.
     """
     include_embedding = question is not None and question.include_embedding
+    request.state.embedding = include_embedding
     if include_embedding:
         _require_embedding(caller, service)
     scores = scores_for(caller)

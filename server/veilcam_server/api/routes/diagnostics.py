@@ -6,7 +6,7 @@ import asyncio
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, TypeAlias
@@ -14,16 +14,17 @@ from typing import Any, TypeAlias
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
+from pydantic import JsonValue
 
 from veilcam_client.wire.privacy import Privacy
 from veilcam_client.wire.status import Diagnostics, DoctorFinding, DoctorFindings, Status
-from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
 from veilcam_server.api.scopes import requires
 from veilcam_server.doctor.finding import Finding
 from veilcam_server.security.privacy import privacy_of
+from veilcam_server.service.service import Service
 
 Examine: TypeAlias = Callable[[], Iterable[Finding]]
 """What the doctor finds on the machine of a running daemon."""
@@ -31,8 +32,6 @@ CHECKUP_EVERY = 5.0
 """The machine is looked at no more often than that, whoever asks [s]."""
 PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
 """Whose versions matter."""
-AGING = {"uptime_s": True, "rotation": {"epoch_age_s"}}
-"""What of the status only tells that time goes by."""
 
 
 class Checkups:
@@ -60,21 +59,36 @@ class Checkups:
             return self._found
 
 
+def diagnostics_of(service: Service, settings: Mapping[str, JsonValue]) -> Diagnostics:
+    """Return the diagnostics of a daemon.
+
+    Args:
+        service: service that is asked.
+        settings: settings that may be told.
+    """
+    history = service.history
+    return Diagnostics(
+        versions={
+            "python": platform.python_version(),
+            "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+            **{name: version(name) for name in PACKAGES},
+        },
+        settings=settings,
+        states=tuple(history.last_states),
+        faults=tuple(history.last_faults),
+        events=dict(history.events),
+        fault_counts=dict(history.faults),
+        log_missed=service.log.missed,
+    )
+
+
 router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Status"])
 
 
-@router.get(
-    "/status",
-    dependencies=[requires("read:status")],
-    response_model=Status,
-    responses={**KNOWN, **problems("invalid_request")},
-)
-async def status(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Response:
-    """State, device, bundle, rotation and queue.
-
-    Its `ETag` changes with all of it but `uptime_s` and `epoch_age_s`.
-    """
-    return unless_known(service.status(), if_none_match, aging=AGING)
+@router.get("/status", dependencies=[requires("read:status")], responses=problems())
+async def status(service: ServiceDep) -> Status:
+    """State, device, bundle, rotation and queue."""
+    return service.status()
 
 
 @router.get(
@@ -95,20 +109,7 @@ async def metrics(request: Request) -> Response:
 @router.get("/diagnostics", dependencies=[requires("read:status")], responses=problems())
 async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnostics:
     """Versions, settings without paths and labels, and the last states and faults."""
-    history = service.history
-    return Diagnostics(
-        versions={
-            "python": platform.python_version(),
-            "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-            **{name: version(name) for name in PACKAGES},
-        },
-        settings=admission.settings,
-        states=tuple(history.last_states),
-        faults=tuple(history.last_faults),
-        events=dict(history.events),
-        fault_counts=dict(history.faults),
-        log_missed=service.log.missed,
-    )
+    return diagnostics_of(service, admission.settings)
 
 
 @router.get("/doctor", dependencies=[requires("read:status")], responses=problems())

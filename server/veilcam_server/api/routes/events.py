@@ -9,11 +9,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from veilcam_client.wire.events import Classified, Event, Gone, Seen
+from veilcam_client.wire.events import Believed, Event, Gone, Seen
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires, scores_for
 from veilcam_server.security.caller import Caller
-from veilcam_server.service.responses import told_confidence
+from veilcam_server.service.responses import told_sight
 
 RETRY_MS = 1000
 """What a browser waits before it reconnects to the events."""
@@ -50,8 +50,9 @@ async def events(
     stream ends with the token.
     """
     # Before the first words, so that who has read them misses nothing any more.
-    following = service.events(last_event_id)
-    yield ServerSentEvent(retry=RETRY_MS, comment="veilcam events")
+    following = service.events(last_event_id, labels=caller.may("classify"))
+    filled = request.app.state.sizes.filled
+    yield filled(ServerSentEvent(retry=RETRY_MS))
     checked = time.monotonic()
     async for event in following:
         if time.monotonic() - checked >= RECHECK:
@@ -59,16 +60,21 @@ async def events(
                 return
             checked = time.monotonic()
         if event is None:
-            yield ServerSentEvent(comment="heartbeat")
-        elif (told := _told(event, caller)) is not None:
-            yield ServerSentEvent(raw_data=told.model_dump_json(), event=told.kind, id=told.id)
+            yield filled(ServerSentEvent())
+        else:
+            data = _told(event, caller).model_dump_json()
+            yield filled(ServerSentEvent(raw_data=data, event=event.kind, id=event.id or None))
 
 
-def _told(event: Event, caller: Caller) -> Event | None:
-    """Return an event as a caller may see it; None: not at all."""
-    if isinstance(event, (Classified, Seen, Gone)) and not caller.may("classify"):
-        return None
-    if isinstance(event, (Seen, Gone)):
-        confidence = told_confidence(event.confidence, scores_for(caller))
-        return event.model_copy(update={"confidence": confidence})
+def _told(event: Event, caller: Caller) -> Event:
+    """Return an event with the probabilities that a caller may see."""
+    scores = scores_for(caller)
+    if isinstance(event, Seen):
+        return told_sight(event, scores)
+    if isinstance(event, Gone):
+        return told_sight(event, scores)
+    if isinstance(event, Believed):
+        belief = None if event.belief is None else told_sight(event.belief, scores)
+        sighting = None if event.sighting is None else told_sight(event.sighting, scores)
+        return event.model_copy(update={"belief": belief, "sighting": sighting})
     return event

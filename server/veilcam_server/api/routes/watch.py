@@ -8,7 +8,7 @@ from veilcam_client.wire.watch import Watch, WatchPolicy
 from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import CallerDep, requires, scores_for
 from veilcam_server.security.caller import Caller
-from veilcam_server.service.responses import told_confidence
+from veilcam_server.service.responses import told_sight
 
 PATH = "/v1/watch"
 
@@ -43,13 +43,12 @@ async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy)
 def _told(found: Watch, caller: Caller) -> Watch:
     """Return a watch as a caller may see it."""
     if not caller.may("classify"):
-        return found.model_copy(update={"belief": None, "history": ()})
+        # A watch that waits may do so because the light changed, as somebody came.
+        activity = "looking" if found.activity == "waiting" else found.activity
+        shown = {"activity": activity, "detail": None} if activity != found.activity else {}
+        return found.model_copy(update={"belief": None, "history": (), "looks": 0, **shown})
     scores, belief = scores_for(caller), found.belief
     if belief is not None:
-        confidence = told_confidence(belief.confidence, scores)
-        belief = belief.model_copy(update={"confidence": confidence})
-    history = tuple(
-        each.model_copy(update={"confidence": told_confidence(each.confidence, scores)})
-        for each in found.history
-    )
+        belief = told_sight(belief, scores)
+    history = tuple(told_sight(each, scores) for each in found.history)
     return found.model_copy(update={"belief": belief, "history": history})

@@ -137,8 +137,10 @@ def test_headers_of_answers_are_documented(found: dict[str, Any]) -> None:
     }
     always = {"X-Request-Id", "Veilcam-Call", "Veilcam-Run", "Cache-Control"}
     assert all(always <= each for each in headers.values())
-    assert headers["GET /v1/status", "200"] == headers["GET /v1/status", "304"] == always | {"ETag"}
-    assert headers["GET /v1/status", "401"] == always | {"WWW-Authenticate"}
+    assert headers["GET /v1/bundles", "200"] == headers["GET /v1/bundles", "304"]
+    assert headers["GET /v1/bundles", "200"] == always | {"ETag"}
+    assert headers["GET /v1/status", "200"] == always | {"Veilcam-Padding"}
+    assert headers["GET /v1/status", "401"] == always | {"Veilcam-Padding", "WWW-Authenticate"}
     assert "Retry-After" in headers["POST /v1/captures", "503"]
     assert "Retry-After" not in headers["POST /v1/captures", "422"]
     assert "Veilcam-Epoch" in headers["POST /v1/captures", "200"]

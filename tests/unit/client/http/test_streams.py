@@ -36,7 +36,7 @@ def event(number: int, kind: str = "mask") -> str:
 async def collect(
     camera: Any, count: int, last_event_id: str | None = "b-0", reconnect: bool = True
 ) -> list[str]:
-    """Epochs, or ``gap``, of the next events."""
+    """Epochs of the next events, kinds and labels of others."""
     heard: list[Any] = []
     stream = camera.events(last_event_id=last_event_id, reconnect=reconnect)
     if isinstance(stream, EventStream):
@@ -47,7 +47,10 @@ async def collect(
         async with stream:
             heard += [await anext(stream) for _ in range(count)]
         assert [each async for each in stream] == []
-    return [getattr(each, "epoch", each.kind) for each in heard]
+    return [
+        getattr(each, "epoch", f"{each.kind} {getattr(each, 'label', '')}".strip())
+        for each in heard
+    ]
 
 
 async def test_broken_stream_goes_on_after_the_last_event(both: Both) -> None:
@@ -221,3 +224,33 @@ async def test_stream_may_be_closed_by_another_task(quiet: tuple[str, threading.
         await asyncio.to_thread(listened.wait, 30)
         await stream.close()
         assert await task == []
+
+
+def state(label: str | None, seconds: float = 1.0, *, looking: bool = True) -> str:
+    """One state of a camera that looks by itself, with its padding."""
+    at = "2026-01-02T03:04:05Z"
+    belief = {"label": label, "since": at, "duration_s": seconds, "looks": 1, "confidence": 0.9}
+    there = {"label": label, "seen_at": at, "gone_at": None, "duration_s": seconds}
+    data = {
+        "kind": "belief",
+        "id": "",
+        "at": at,
+        "belief": belief if looking else None,
+        "sighting": None if label is None else {**there, "confidence": 0.9},
+    }
+    return f":{' ' * 300}\nevent: belief\ndata: {json.dumps(data)}\n\n"
+
+
+async def test_states_become_arrivals_and_departures(both: Both) -> None:
+    both.daemon.first = [
+        events(
+            *(state("a"), state("a", 2.0), state("a", 3.0), event(1), state(None), state(None)),
+            *(state("a"), state("b", 1.5), state("b", 0.5)),
+        ),
+        # What was missed between two connections is told, too.
+        events(state("c", 9.0), state(None, looking=False), event(2)),
+    ]
+    assert await both(lambda camera: collect(camera, 11)) == [
+        *("e1", "gone a", "seen a", "gone a", "seen b", "gone b", "seen b"),
+        *("gone b", "seen c", "gone c", "e2"),
+    ]

@@ -24,7 +24,7 @@ JSON = {"Content-Type": "application/json"}
     ("method", "path", "more", "status"),
     [
         ("GET", "/v1/status", {}, 200),
-        ("GET", "/v1/status", {"headers": {"If-None-Match": "*"}}, 304),
+        ("GET", "/v1/bundles", {"headers": {"If-None-Match": "*"}}, 304),
         ("HEAD", "/v1/events", {}, 200),
         ("GET", "/", {}, 200),
         ("GET", "/healthz", {}, 200),

@@ -11,6 +11,7 @@ import pytest
 
 from veilcam_client.async_camera import AsyncCamera
 from veilcam_client.errors import VeilcamError
+from veilcam_client.http.resumption import Resumption
 from veilcam_client.wire.base import EXAMPLE_TIME
 from veilcam_client.wire.events import Event, Gone, Seen
 from veilcam_client.wire.rotation import EveryCaptures
@@ -23,7 +24,7 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
+    from collections.abc import AsyncIterator, Awaitable
     from pathlib import Path
 
     import httpx
@@ -53,6 +54,13 @@ async def until_seen(camera: AsyncCamera) -> Watch:
     while not (found := await camera.watch.get()).history:
         await asyncio.sleep(0.02)
     return found
+
+
+async def until_quiet(stream: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
+    async for event in stream:
+        if event is None:
+            return
+        yield event
 
 
 async def test_off_is_opaque_for_everybody(running: Running, bench: Bench) -> None:
@@ -105,22 +113,36 @@ async def test_watch_looks_by_itself_and_releases_a_label_alone(
     assert after == before
 
 
-async def test_sight_is_an_event_and_a_look_is_none(running: Running, bench: Bench) -> None:
+async def test_sight_is_a_change_of_states_and_no_event(running: Running, bench: Bench) -> None:
     bench = dataclasses.replace(bench, watch=OFTEN)
     bench.sensor.measurement = np.zeros_like(bench.sensor.measurement)
     service = None
     async with running(on=bench) as client:
         service = client._transport.app.state.service  # type: ignore[attr-defined]
         assert isinstance(service, Service)
-        heard = list[Event]()
-        service._events.subscribe(heard.append)
+        published, heard = list[Event](), list[Event]()
+        service._events.subscribe(published.append)
+
+        async def listen() -> None:
+            changes = Resumption(sdk(client)._transport.options, None, reconnect=True)
+            async for event in service.events(None):
+                heard.extend(changes.heard(event) if event is not None else ())
+
+        listening = asyncio.create_task(listen())
         while (await sdk(client).watch.get()).looks < 3:
             await asyncio.sleep(0.02)
         bench.sensor.measurement = 10 * np.ones_like(bench.sensor.measurement)
         found = await until_seen(sdk(client))
         bench.sensor.measurement = np.zeros_like(bench.sensor.measurement)
-        while (await sdk(client).watch.get()).history[0].gone_at is None:
+        while not any(isinstance(event, Gone) for event in heard):
             await asyncio.sleep(0.02)
+        public = [event async for event in until_quiet(service.events("", labels=False))]
+    await listening
+    assert not {"seen", "gone", "belief"} & {event.kind for event in published}
+    assert not {"seen", "gone", "belief"} & {event.kind for event in public}
+    assert [int(event.id.rpartition("-")[2]) for event in public[1:]] == list(
+        range(len(public) - 1)
+    )
     kinds = [event.kind for event in heard if event.kind not in ("mask", "state")]
     assert kinds == ["seen", "gone"]
     seen = next(event for event in heard if isinstance(event, Seen))
@@ -195,8 +217,7 @@ async def test_sight_is_told_by_scope(  # noqa: PLR0917 - fixtures and a table
         Gone(confidence=0.987654321, reason="left", **known),
         Gone(confidence=None, reason="not_looking", **known),
     )
-    heard: list[Any] = [one for event in events if (one := _told(event, caller)) is not None]
-    assert len(heard) == (3 if label else 0)
+    heard: list[Any] = [_told(event, caller) for event in events if label]
     assert all(each.confidence is None for each in heard[2:])
     told = [
         each.confidence for each in (found.belief, *found.history, *heard[:2]) if each is not None

@@ -126,7 +126,7 @@ async def test_all_ways_to_be_nobody_look_alike(running: Running, store: TokenSt
                 assert answer.status_code == 401
                 assert answer.headers["content-type"] == PROBLEM_MEDIA_TYPE
                 assert answer.headers["www-authenticate"] == 'Bearer realm="veilcam"'
-                answers.add(answer.text.replace(path, ""))
+                answers.add(answer.text.replace(path, "").rstrip())
     assert len(answers) == 1
 
 
@@ -195,12 +195,12 @@ async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
     monkeypatch.setattr(events, "RECHECK", 0.0)
     heard, passed, told = list[str](), list[str](), events._told
 
-    def noted(event: Event, caller: Caller) -> Event | None:
+    def noted(event: Event, caller: Caller) -> Event:
         passed.append(event.kind)
         return told(event, caller)
 
     monkeypatch.setattr(events, "_told", noted)
-    worker = bearer(store, "classify", "read:status")
+    worker = bearer(store, "classify", "read:status", "mask:rotate")
     more: tuple[Scope, ...]
     async with running(admission=Admission(tokens=store)) as client:
         for more in ((), ("classify",)):
@@ -208,7 +208,8 @@ async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
             headers = {"Authorization": f"Bearer {token.secret}", "Last-Event-ID": "0-0"}
             listening = asyncio.create_task(client.get("/v1/events", headers=headers))
             assert (await client.post("/v1/classifications", headers=worker)).is_success
-            await until(lambda: "classification" in passed)
+            assert (await client.post("/v1/rotation/advance", headers=worker)).is_success
+            await until(lambda: "mask" in passed)
             passed.clear()
             store.revoke(token.id)
             heard.append((await listening).text)

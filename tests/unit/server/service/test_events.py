@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from veilcam_client.wire.events import Event, Gap, MaskChanged
-from veilcam_server.service.events import EventLog, EventPublisher
+from veilcam_client.wire.events import (
+    Classified,
+    Event,
+    Gap,
+    Gone,
+    MaskChanged,
+    Seen,
+    WatchChanged,
+)
+from veilcam_client.wire.watch import Watching
+from veilcam_server.service.events import EventLog, EventPublisher, History
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -155,3 +164,32 @@ async def test_subscribers_hear_what_is_published_from_whatever_thread() -> None
     publisher.publish(partial(MaskChanged, epoch="after"))
     assert names(heard) == ["a", "b"]
     assert names(followed) == ["b"]
+
+
+async def test_public_events_tell_nothing_of_what_is_seen() -> None:
+    publisher, history = EventPublisher(), History()
+    publisher.subscribe(history.add)
+    policy = Watching(rate_hz=2.0)
+    watch = partial(WatchChanged, policy=policy)
+    with publisher.open():
+        for make in (
+            partial(MaskChanged, epoch="a"),
+            partial(Seen, label="x", confidence=None, duration_s=1.0),
+            partial(watch, activity="waiting", detail="the light changed"),
+            partial(watch, activity="looking"),
+            partial(Gone, label="x", confidence=None, duration_s=1.0, reason="left"),
+            partial(Classified, capture="c", epoch="a", label="x"),
+            partial(watch, activity="quiet"),
+            partial(watch, activity="looking"),
+        ):
+            publisher.publish(make)
+        every = await take(publisher.log.follow("", 1.0), 9)
+        public = await take(publisher.public.follow("", 1.0), 4)
+    assert [event.kind for event in every[1:]] == [
+        *("mask", "seen", "watch", "watch", "gone", "classification", "watch", "watch"),
+    ]
+    assert [getattr(event, "activity", event.kind) for event in public] == [
+        *("gap", "mask", "quiet", "looking"),
+    ]
+    assert [event.id.rpartition("-")[2] for event in public] == ["0", "0", "1", "2"]
+    assert history.events == {"mask": 1, "classification": 1}

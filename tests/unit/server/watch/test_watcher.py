@@ -24,7 +24,7 @@ from veilcam_client.wire.watch import (
 )
 from veilcam_server.camera.engine import Condition
 from veilcam_server.devices.errors import DisplayError, SensorError
-from veilcam_server.errors import ProblemError, StorageError, UndecidedError
+from veilcam_server.errors import ProblemError, StorageError, UndecidedError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system import clock as clock_of_machine
@@ -80,7 +80,9 @@ class Bench:
     free: asyncio.Event = field(default_factory=asyncio.Event)
     """A capture ends once it is set."""
     camera: Camera = field(default_factory=Camera)
+    beat: bool = False
     events: list[Event] = field(default_factory=list)
+    states: list[tuple[float, Any]] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -104,6 +106,7 @@ class Bench:
                 WatchStore(self.folder, OnRequest()),
                 clock,
                 rests=resting(self.policy, self.wall, sure=clock.sure()),
+                beat=self.beat,
             ),
             Watched(
                 self.camera,  # type: ignore[arg-type]
@@ -111,6 +114,7 @@ class Bench:
                 look=take,
                 busy=lambda: self.busy,
                 publish=lambda make: self.events.append(make(id="", at=EVENING)),
+                tell=lambda state: self.states.append((self.time, state)),
             ),
             clock=lambda: self.time,
             now=lambda: self.wall,
@@ -123,12 +127,18 @@ class Bench:
         while True:
             if self.watcher.rest_due_in() <= 0:
                 await self.watcher.rest()
+            if self.watcher.beat_due_in() <= 0:
+                await self.watcher.beat()
             if self.watcher.look_due_in() <= 0:
                 try:
                     await self.watcher.look()
                 except ProblemError:
                     self.wait(1.0)
-            due = min(self.watcher.rest_due_in(), self.watcher.look_due_in())
+            due = min(
+                self.watcher.rest_due_in(),
+                self.watcher.look_due_in(),
+                self.watcher.beat_due_in(),
+            )
             if self.time + due > end:
                 self.wait(end - self.time)
                 return
@@ -495,3 +505,46 @@ async def test_looks_that_take_long_do_not_pile_up(make: Callable[..., Bench]) -
     bench.during = lambda: bench.wait(1.7)
     await bench.pass_time(6.0)
     assert [now - 100 for now in bench.times] == pytest.approx([0, 1.7, 3.4, 5.1])
+
+
+async def test_state_is_told_at_fixed_times_whatever_is_seen(make: Callable[..., Bench]) -> None:
+    bench = make(beat=True)
+    told = list[tuple[str | None, str | None]]()
+    for sees in (None, "a", "b", None):
+        bench.sees = sees
+        await bench.pass_time(3.0)
+        belief, sighting = bench.states[-1][1].belief, bench.states[-1][1].sighting
+        told.append((belief and belief.label, sighting and sighting.label))
+    times = [time for time, _ in bench.states if time % 0.5 == 0]
+    assert sorted(set(times)) == [100 + 0.5 * number for number in range(25)]
+    assert bench.told(Seen, Gone) == []
+    assert [state.id for _, state in bench.states] == [""] * len(bench.states)
+    assert told == [(None, None), ("a", "a"), ("b", "b"), (None, None)]
+    bench.states.clear()
+    await bench.watcher.set_policy(OnRequest())
+    await bench.pass_time(5.0)
+    # The last one says that the camera looks no longer.
+    assert [state.belief for _, state in bench.states] == [None]
+
+
+async def test_state_of_a_look_is_told_at_the_next_tick(make: Callable[..., Bench]) -> None:
+    bench = make(beat=True, sees="a")
+    await bench.pass_time(0.4)
+    assert [state.belief for _, state in bench.states] == [None]
+    await bench.pass_time(0.1)
+    (_, state) = bench.states[-1]
+    assert (state.belief.label, state.belief.looks) == ("a", 1)
+
+
+async def test_look_at_changing_light_is_missed_and_raises_no_alarm(
+    make: Callable[..., Bench],
+) -> None:
+    bench = make(sees="a")
+    await bench.pass_time(2.0)
+    bench.fault = UnsteadyLightError("the light changed: try again")
+    await bench.pass_time(4.0)
+    assert bench.times == [100 + 0.5 * number for number in range(13)]
+    assert bench.activities == ["waiting"]
+    bench.fault = None
+    await bench.pass_time(1.0)
+    assert bench.activities == ["waiting", "looking"]
