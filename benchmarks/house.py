@@ -18,11 +18,20 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from tests.house.test_budget import BUDGET, count, words
+from tests.house.test_budget import BUDGET, count, lines, words
 
 from benchmarks.figures import FiguresOption, record
+from veilcam_server.errors import PROBLEMS
+from veilcam_server.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
+LOG = (
+    "client/veilcam_client/keys/log.py, client/veilcam_client/keys/commitments.py, "
+    "client/veilcam_client/wire/log.py, client/veilcam_client/log_file.py, "
+    "client/veilcam_client/cli/logs.py, server/veilcam_server/security/log.py, "
+    "server/veilcam_server/api/routes/log.py"
+)
+"""Files of the one log, and of the commitments that it keeps."""
 
 
 def cost(command: list[str]) -> tuple[float, float, str]:
@@ -66,7 +75,10 @@ def main(
     values: dict[str, float] = {}
     for target in targets or ():
         if target == "size":
-            values |= {f"lines_{part}": count(part) for part in ("product", "tests", "benchmarks")}
+            parts = ("product", "server", "tests", "benchmarks")
+            values |= {f"lines_{part}": count(part) for part in parts}
+            values |= {"problem_codes": len(PROBLEMS), "settings": len(Settings.model_fields)}
+            values["log_lines"] = lines(LOG)
             values["words_docs"] = sum(words(patterns) for patterns in BUDGET["words"])
         elif target == "ci":
             wall, _, told = cost([str(ROOT / ".ci" / "run")])

@@ -58,7 +58,7 @@ def build_service(settings: Settings) -> Service:
         ) as error:
             raise StartError(str(error)) from error
         undo.pop_all()
-    return Service(camera, state, queue_limit=settings.queue, heartbeat=settings.heartbeat)
+    return Service(camera, state, queue_limit=settings.queue)
 
 
 class _Server(GateServer):

@@ -37,10 +37,16 @@ SCENE_NAME = "scene.npy"
 
 MANY = 10
 """Captures behind one stored mask, unless another policy is given; behind a fresh one it is one."""
+CAPTURE_TIMEOUT = 5.0
+"""Longest wait for a measurement [s], unless the longest exposure needs more."""
+SELF_TEST_EVERY = 600.0
+"""Longest time between two self tests of the panel [s], unless they take longer themselves."""
 SELF_TEST = 9
 """Measurements of a self test."""
 _FRAME = 0.025
 """Shortest frame of a sensor [s]."""
+_LONGEST = 10.0
+"""Longest exposure [s]."""
 _SHORTEST = 6e-5
 """Shortest exposure of a sensor [s]: four lines of an IMX477."""
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
@@ -52,7 +58,7 @@ _WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_ho
 _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
-        *("callers", "heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
+        *("callers", "log_level", "hosts", "frame_ancestors", "root_path"),
         "full_scores",
     )
 )
@@ -136,10 +142,6 @@ class Settings(CallerLimits, Wiring):
     """Simulated signal-to-noise ratio in dB."""
     imperfections: Path | None = None
     """How the simulated camera departs from a nominal one: a JSON file (docs/calibration.md)."""
-    capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
-    """Longest wait for a measurement in seconds."""
-    self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
-    """Seconds between two self tests of the panel, at most."""
     guard: float = Field(default=10.0, ge=0, le=600, allow_inf_nan=False)
     """Longest age in seconds of the opaque frame that vouches for an answer, where masks serve more
     than one capture; 0 for one with each answer."""
@@ -152,8 +154,6 @@ class Settings(CallerLimits, Wiring):
     callers: int = Field(default=16, ge=1, le=1024)
     """Programs that use the camera at the same time. Limits of connections, event streams, requests
     and waiting captures follow."""
-    heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
-    """Seconds between two signs of life on a quiet event stream."""
     wrong_classifier: bool = False
     """Experiment: read every mask as if it were another one."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -298,14 +298,10 @@ class Settings(CallerLimits, Wiring):
     @model_validator(mode="after")
     def _times_fit(self) -> Self:
         """Refuse times of which one never fits into the other."""
-        longest = self.exposure * self.exposure_factor
-        # One frame may have begun too early, and the lines of the next are read after its exposure.
-        needed = longest + max(_FRAME, longest) + _FRAME
-        if needed > self.capture_timeout:
+        if self.exposure * self.exposure_factor > _LONGEST:
             raise ValueError(
                 f"--exposure {self.exposure:g} s times --exposure-factor {self.exposure_factor:g} "
-                f"and two frames are {needed:.4g} s, longer than --capture-timeout "
-                f"{self.capture_timeout:g} s: give a shorter exposure, or a longer time-out"
+                f"is longer than {_LONGEST:g} s: give a shorter exposure"
             )
         if self.device != "simulated" and self.exposure / self.exposure_factor < _SHORTEST:
             raise ValueError(
@@ -313,12 +309,6 @@ class Settings(CallerLimits, Wiring):
                 f"is shorter than a sensor can expose: stay above {_SHORTEST:g} s"
             )
         one = self.settle + self.exposure
-        if SELF_TEST * one > self.self_test_every:
-            raise ValueError(
-                f"a self test takes {SELF_TEST} times --settle {self.settle:g} s and --exposure "
-                f"{self.exposure:g} s, longer than --self-test-every {self.self_test_every:g} s: "
-                "give a longer period"
-            )
         policy = self.rotation
         if isinstance(policy, EverySeconds) and policy.seconds - policy.jitter < one:
             raise ValueError(
@@ -359,6 +349,18 @@ class Settings(CallerLimits, Wiring):
         if self.watch is None:
             return OnRequest(quiet=quiet)
         return Watching(rate_hz=parse_rate(self.watch), quiet=quiet)
+
+    @property
+    def capture_timeout(self) -> float:
+        """Longest wait for a measurement [s]: twice two frames of the longest exposure or more."""
+        longest = self.exposure * self.exposure_factor
+        # One frame may have begun too early, and the lines of the next are read after its exposure.
+        return max(CAPTURE_TIMEOUT, 2 * (longest + max(_FRAME, longest) + _FRAME))
+
+    @property
+    def self_test_every(self) -> float:
+        """Longest time between two self tests of the panel [s]."""
+        return max(SELF_TEST_EVERY, 2 * SELF_TEST * (self.settle + self.exposure))
 
     @property
     def serves_others(self) -> bool:

@@ -38,9 +38,7 @@ class Wiring(BaseSettings):
     spi: Path = Path("/dev/spidev0.0")
     """Bus of the panel."""
     spi_hz: int = Field(default=15_000_000, ge=100_000, le=100_000_000)
-    """Clock of the bus in Hz; 15151515 is an ST7735R's limit."""
-    allow_fast_spi: bool = False
-    """Allow a clock beyond that limit, with a warning."""
+    """Clock of the bus in Hz; 15151515 is an ST7735R's limit, and more is warned of."""
     gpio_chip: str | None = Field(default=None, min_length=1, max_length=64)
     """Label of the GPIO chip with both lines. Default: that of a Raspberry Pi 5 or 4."""
     data_line: int = Field(default=25, ge=0, le=1023)

@@ -269,7 +269,7 @@ def ask_daemon(ground: Ground, release: Release) -> tuple[Findings, list[str]]:
     elif release != "raw":
         given["bundle"] = written(ground.folder / f"{release}.veilcam", fresh_bundle())
     given |= {"settle": 0.0, "exposure": 0.0, "rotation": EverySeconds(seconds=10.0), **UNHINDERED}
-    given |= {"release": release, "scene_api": True, "log_level": "debug", "heartbeat": 0.2}
+    given |= {"release": release, "scene_api": True, "log_level": "debug"}
     settings = ground.settings(f"api-fuzz-{release}", **given)
     state, bundle, receiver = settings.state_dir, read_bundle(settings.bundle), None
     callers = make_callers(TokenStore(state), SCOPES if ground.extent.whole else SCOPES[:1])

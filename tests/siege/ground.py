@@ -133,7 +133,6 @@ class Ground:
             "exposure": 0.001,
             # Fast: that rotation goes on is seen at once.
             "rotation": EverySeconds(seconds=0.5),
-            "heartbeat": 1.0,
         }
         return GivenSettings(**{**given, **more})
 

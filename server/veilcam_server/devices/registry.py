@@ -82,14 +82,8 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
 
 
 def _check_clock(wiring: Wiring, fastest: int | None) -> None:
-    if fastest is None or wiring.spi_hz <= fastest:
-        return
-    if not wiring.allow_fast_spi:
-        raise DisplayError(
-            f"a bus clock of {wiring.spi_hz} Hz is too fast for the panel: "
-            f"use --spi-hz {fastest} or less, or --allow-fast-spi"
-        )
-    log.warning("fast panel bus", speed=wiring.spi_hz, most=fastest)
+    if fastest is not None and wiring.spi_hz > fastest:
+        log.warning("fast panel bus", speed=wiring.spi_hz, most=fastest)
 
 
 def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:

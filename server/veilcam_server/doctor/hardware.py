@@ -74,12 +74,12 @@ def check_spi(machine: Machine, wiring: Wiring) -> Finding:
 def check_clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
     """Return whether the panel takes the clock of the bus."""
     found = f"{wiring.spi_hz:,} Hz"
-    if wiring.spi_hz > fastest and not wiring.allow_fast_spi:
+    if wiring.spi_hz > fastest:
         return Finding(
             "bus clock",
             "bad",
             f"{found}, too fast for the panel",
-            f"give --spi-hz {fastest} or less, or --allow-fast-spi",
+            f"give --spi-hz {fastest} or less",
         )
     return Finding("bus clock", "ok", found)
 

@@ -33,7 +33,6 @@ _PROMPT: Mapping[str, object] = {
     "scene_api": True,
     "settle": 0.0,
     "exposure": 0.0,
-    "heartbeat": 1.0,
 }
 """A simulated device that tests may break, and that waits for nothing."""
 

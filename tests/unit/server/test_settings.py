@@ -138,11 +138,8 @@ def test_this_machine_is_served(host: str) -> None:
         ("settle", -1.0),
         ("settle", float("nan")),
         ("exposure", 11.0),
-        ("capture_timeout", 0.0),
-        ("self_test_every", 0.0),
-        ("self_test_every", 3601.0),
-        ("self_test_every", float("inf")),
-        ("heartbeat", 0.0),
+        ("guard", 601.0),
+        ("guard", float("inf")),
         ("auth", "sometimes"),
         ("callers", 0),
         ("callers", 1025),
@@ -264,17 +261,9 @@ def test_bad_options_end_with_one_line(options: list[str], message: str) -> None
 
 
 CONTRADICTIONS: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
-    ({"exposure_factor": 600.0}, ("--exposure-factor 600", "--capture-timeout 5 s")),
-    ({"exposure": 6.0}, ("--exposure 6 s", "--capture-timeout 5 s")),
-    ({"exposure": 3.0}, ("--exposure 3 s", "--capture-timeout 5 s")),
-    ({"capture_timeout": 0.03}, ("--exposure 0.01 s", "--capture-timeout 0.03 s")),
+    ({"exposure": 0.1, "exposure_factor": 101.0}, ("--exposure 0.1 s", "--exposure-factor 101")),
     ({"exposure": 0.0}, ("--exposure 0 s", "--exposure-factor 1")),
     ({"exposure_factor": 200.0}, ("--exposure 0.01 s", "--exposure-factor 200")),
-    ({"self_test_every": 4.0, "settle": 0.5}, ("--settle 0.5 s", "--self-test-every 4 s")),
-    (
-        {"self_test_every": 4.0, "exposure": 0.5},
-        ("--exposure 0.5 s", "--self-test-every 4 s"),
-    ),
     (
         {"rotation": EverySeconds(seconds=1.0), "settle": 2.0},
         ("--every-seconds 1", "--settle 2 s"),
@@ -317,12 +306,28 @@ def test_settings_that_contradict_each_other_are_refused_by_their_names(
 
 
 @pytest.mark.parametrize(
+    ("exposure", "settle", "timeout", "every"),
+    [
+        (0.01, 0.1, 5.0, 600.0),
+        (1.2, 0.1, 5.0, 600.0),
+        (2.0, 0.1, 8.05, 600.0),
+        (10.0, 60.0, 40.05, 1260.0),
+    ],
+)
+def test_times_follow_from_exposure_and_settling(
+    exposure: float, settle: float, timeout: float, every: float
+) -> None:
+    settings = Settings(bundle=Path("a.veilcam"), exposure=exposure, settle=settle)
+    assert settings.capture_timeout == pytest.approx(timeout)
+    assert settings.self_test_every == every
+
+
+@pytest.mark.parametrize(
     "given",
     [
-        {"exposure": 2.4},
-        {"exposure_factor": 160.0, "capture_timeout": 4.0},
+        {"exposure": 10.0},
+        {"exposure": 0.1, "exposure_factor": 100.0},
         {"exposure": 0.0, "settle": 0.0, "device": "simulated"},
-        {"self_test_every": 4.0, "settle": 0.4},
         {"rotation": EverySeconds(seconds=2.2, jitter=0.1), "settle": 2.0},
         {"watch": "10/s"},
         {"watch": "10/s", "rotation": EveryCaptures(captures=1), "settle": 0.08},

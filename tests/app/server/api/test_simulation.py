@@ -194,10 +194,11 @@ async def test_lamp_that_goes_out_accuses_no_panel(given: dict[str, Any]) -> Non
 @pytest.mark.thorough
 @pytest.mark.parametrize("fault", ["gone", "silent", "stuck"])
 async def test_sensor_that_fails_is_an_error_and_then_a_state(
-    given: dict[str, Any], fault: str
+    given: dict[str, Any], fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("veilcam_server.settings.CAPTURE_TIMEOUT", 0.05)
     faults = SensorFaults.model_validate({fault: True})
-    async with camera({**given, "capture_timeout": 0.05}) as sdk:
+    async with camera(given) as sdk:
         await sdk.capture()
         await sdk.simulation.set_faults(Faults(sensor=faults))
         with pytest.raises(DeviceError) as caught:
@@ -221,11 +222,12 @@ async def test_sensor_that_fails_is_an_error_and_then_a_state(
 
 @pytest.mark.thorough
 async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_themselves(
-    given: dict[str, Any],
+    given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The whole daemon but its sockets; nobody asks it for anything meanwhile."""
-    more = {"capture_timeout": 0.05, "self_test_every": 1.0, "rotation": EverySeconds(seconds=0.3)}
-    async with camera({**given, **more}) as sdk:
+    monkeypatch.setattr("veilcam_server.settings.CAPTURE_TIMEOUT", 0.05)
+    monkeypatch.setattr("veilcam_server.settings.SELF_TEST_EVERY", 1.0)
+    async with camera({**given, "rotation": EverySeconds(seconds=0.3)}) as sdk:
         for faults, state in (
             (Faults(panel=PanelFaults(gone=True)), "safe"),
             (Faults(sensor=SensorFaults(gone=True)), "degraded"),

@@ -293,8 +293,6 @@ def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> Non
         assert found[name].outcome == "bad"
         assert text in found[name].found
     assert bed.opened == [1]
-    fast = wiring.model_copy(update={"allow_fast_spi": True})
-    assert findings(bed, fast)["bus clock"].outcome == "ok"
 
 
 def answering(answer: str | Exception) -> DisplayDriver:

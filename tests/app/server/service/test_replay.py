@@ -44,7 +44,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def service_of(replay: Path) -> Service:
-    given = {"replay": replay, "state_dir": replay.parent / "state", "heartbeat": 0.02}
+    given = {"replay": replay, "state_dir": replay.parent / "state"}
     return build_service(Settings.model_validate(given))
 
 
