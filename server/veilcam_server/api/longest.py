@@ -48,7 +48,7 @@ _NUMBER, _COUNT, _SMALL = -1.7976931348623157e308, 10**15, np.float32(-1.1754942
 _TIME = datetime(2026, 1, 2, 3, 4, 5, 678901, UTC)
 _NAME, _DIGEST, _CLOCK = "0f" * 16, "0f" * 32, WallClock(zone="z" * 64, synchronised=False)
 _REMEDY: Remedy = "check_panel_wiring"
-_DETAIL = "x" * 256
+_DETAIL = "x" * 224
 """Longest reason of a state or a fault; a longer one may make an answer of twice the size."""
 
 
