@@ -33,6 +33,21 @@ def npy_bytes(picture: npt.ArrayLike) -> bytes:
     return buffer.getvalue()
 
 
+class _Overwritten(bytearray):
+    """Memory that is filled with zeros as the last array in it goes."""
+
+    def __del__(self) -> None:
+        self[:] = bytes(len(self))
+
+
+def erasable(values: npt.NDArray[Any], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
+    """Return a copy that is overwritten as soon as nobody holds it any more."""
+    kind = np.dtype(dtype)
+    held = np.frombuffer(_Overwritten(values.size * kind.itemsize), kind).reshape(values.shape)
+    held[...] = values
+    return held
+
+
 def list_schema(numbers: CoreSchema) -> CoreSchema:
     """Return how pydantic reads and writes a flat array of float32.
 
@@ -53,22 +68,17 @@ def list_schema(numbers: CoreSchema) -> CoreSchema:
 
 
 def _held(values: npt.NDArray[Any] | tuple[float, ...]) -> Float32:
-    if isinstance(values, np.ndarray) and values.dtype == np.float32:
-        held = values.copy()
-    else:
-        held = _exactly(np.array(values, np.float64))
-    if held.ndim != 1 or not np.isfinite(held).all():
+    given = np.asarray(values)
+    if given.dtype != np.float32:
+        given = given.astype(np.float64)
+    if given.ndim != 1 or not np.isfinite(given).all():
         raise ValueError("values are finite float32, one after the other")
-    held.flags.writeable = False
-    return held
-
-
-def _exactly(values: npt.NDArray[np.float64]) -> Float32:
-    """As float32; what is signed or logged is what was written: nothing is rounded on the way."""
     with np.errstate(over="ignore"):
-        held = values.astype(np.float32)
-    if not (held == values).all():
+        held = erasable(given)
+    # What is signed or logged is what was written: nothing is rounded on the way.
+    if not (held == given).all():
         raise ValueError("values are float32: there is a number that no camera sends")
+    held.flags.writeable = False
     return held
 
 

@@ -140,7 +140,7 @@ class Rig:
         frames = partial(FakePicamera2, seen, mode=MODE, faults=self.frames)
         camera = partial(IMX477, frames, shape=shape, exposures=ExposureRange(0.0), **sensed)
         sensor = ReopeningSensor("IMX477", 1.1, camera, clock=unhurried)
-        signer, budget = DeviceKey.open(directory), ReleaseBudget(directory, raw=0)
+        signer, budget = DeviceKey.open(directory), ReleaseBudget(directory, raw=1)
         terms = Terms(form, (receiver,) if form == "sealed" else ())
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),

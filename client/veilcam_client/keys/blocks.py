@@ -79,7 +79,8 @@ class Sealer:
         said = notes.model_dump_json().encode()
         if len(said) > NOTES_BYTES:
             raise ValueError(f"notes of {len(said)} bytes are too long: use {NOTES_BYTES}")
-        block = values.astype("<f4").tobytes() + said.ljust(NOTES_BYTES)
+        block = bytearray(4 * values.size) + said.ljust(NOTES_BYTES)
+        np.frombuffer(block, "<f4", values.size)[:] = values.ravel()
         data = _associated_data(self._envelope, values.shape, number, taken_at)
         nonce = _nonce(number)
         with self._lock:
@@ -89,6 +90,7 @@ class Sealer:
                 raise ValueError(f"capture {number} of this epoch was sealed already")
             self._last = number
             sealed = ChaCha20Poly1305(self._key).encrypt(nonce, block, data)
+            block[:] = bytes(len(block))
         return SealedEmbedding(
             shape=values.shape,
             block=base64.b64encode(sealed).decode(),

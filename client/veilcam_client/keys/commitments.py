@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from veilcam_client.keys.envelopes import canonical
 from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.numbers import erasable
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.log import LogRecord
@@ -38,7 +39,7 @@ def answer_digest(answer: Capture | Classification) -> str:
     said = answer.model_dump(mode="json", exclude_none=True, exclude={"embedding": {"values"}})
     values = getattr(answer.embedding, "values", ())
     # As numbers: to write them all out takes longer than to sign.
-    data = sha256(np.asarray(values, "<f8").tobytes()).hexdigest()
+    data = sha256(erasable(np.asarray(values), "<f8").data).hexdigest()
     return sha256(canonical("veilcam answer", 1, said, data)).hexdigest()
 
 

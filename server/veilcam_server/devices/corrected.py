@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from veilcam_client.numbers import erasable
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_server.devices.base import Device, Exposure, Light, Measurement, Sensor
 
@@ -61,10 +62,12 @@ class CalibratedSensor:
 
     def corrected(self, measurement: Measurement) -> Measurement:
         """Return what a decoder expects for a measurement of the sensor."""
-        light = (measurement.astype(np.float64) - self._black_level) / self._gain
-        straight = (light - self._stray_light * light.mean()) / (1 - self._stray_light)
-        expected: Measurement = straight.astype(np.float32)
-        return expected
+        light = erasable(measurement, np.float64)
+        light -= self._black_level
+        light /= self._gain
+        light -= self._stray_light * light.mean()
+        light /= 1 - self._stray_light
+        return erasable(light)
 
     def close(self) -> None:
         """Stop the sensor."""

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.numbers import erasable
 from veilcam_client.wire.simulation import SensorFaults
 from veilcam_server.devices.base import Exposure, Light, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
@@ -166,8 +167,9 @@ class IMX477:
             if binned.saturated:
                 self._unfit = self._shorten(camera)
                 continue
+            brightest = float(np.max(binned.embedding))
             exposure = self._exposure(frame, binned)
-            self._follow(camera, float(np.max(binned.embedding)))
+            self._follow(camera, brightest)
             return exposure
 
     def _frame(
@@ -205,17 +207,20 @@ class IMX477:
 
     def _binned(self, raw: Raw) -> _Binned:
         black, white = self._format.black, self._format.white
-        embedding = (self._binning.means(raw, self._format.order) - black) / (white - black)
+        embedding = self._binning.means(raw, self._format.order)
+        embedding -= black
+        embedding /= white - black
         return _Binned(embedding, float((raw >= white).mean()) > _SATURATED)
 
     def _exposure(self, frame: Frame, binned: _Binned) -> Exposure:
-        scale = self.full_scale * self._scale(frame)
-        embedding: Measurement = (scale * binned.embedding).astype(np.float32)
+        light, measured = self._light(frame, binned), binned.embedding
+        measured *= self.full_scale * self._scale(frame)
+        embedding: Measurement = erasable(measured)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,
             ended_at=frame.stamp / _NANO + self._mode.readout,
-            light=self._light(frame, binned),
+            light=light,
             integration=frame.exposure / _NANO,
         )
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.numbers import erasable
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.devices.picamera import Request
 
@@ -180,9 +181,20 @@ class Binning:
             for second, columns in enumerate(self._columns)
         ]
         if not self._colour:
-            return np.asarray(np.mean(planes, axis=0))
+            return _mean(planes)
         found = [[mean for mean, of in zip(planes, order, strict=True) if of == c] for c in "RGB"]
-        return np.stack([np.mean(each, axis=0) for each in found])
+        return np.stack([_mean(each) for each in found])
+
+
+def _mean(planes: list[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+    """Return the mean of several planes, which are overwritten."""
+    mean = erasable(planes[0], np.float64)
+    for each in planes[1:]:
+        mean += each
+    mean /= len(planes)
+    for each in planes:
+        each.fill(0)
+    return mean
 
 
 def _means(raw: Raw, rows: _Boxes, columns: _Boxes) -> npt.NDArray[np.float64]:

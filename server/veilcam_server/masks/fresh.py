@@ -36,7 +36,11 @@ class FreshReader:
 
     def classify(self, measurement: Measurement) -> Prediction:
         """Decode and classify one embedding."""
-        return self.classifier.classify(self._inputs(measurement[None]))
+        inputs = self._inputs(measurement[None])
+        try:
+            return self.classifier.classify(inputs)
+        finally:
+            overwrite(inputs)
 
     def evidence(self, measurement: Measurement) -> Evidence:
         """Return what one embedding tells beside its label."""
@@ -50,8 +54,10 @@ class FreshReader:
             InferenceError: the network gives NaN or infinity for one.
         """
         novelty = self.decoder.novelty(measurements)
-        moved = _moved(self._inputs(measurements), self.decoder.scene.shape)
-        logits = np.mean([self.classifier.logits(inputs) for inputs in moved], axis=0)
+        inputs = self._inputs(measurements)
+        moved = _moved(inputs, self.decoder.scene.shape)
+        logits = np.mean([self.classifier.logits(each) for each in moved], axis=0)
+        overwrite(inputs, *moved)
         light = measurements.reshape(len(measurements), -1).mean(axis=1) / self.transmittance
         return [
             Evidence(self.classifier.labels, tuple(scores), brightness, far)
@@ -61,8 +67,10 @@ class FreshReader:
         ]
 
     def _inputs(self, measurements: Values) -> Values:
-        inputs = classifier_inputs(self.decoder, measurements)
-        return inputs.astype(np.float32)  # as it was fitted
+        scenes = classifier_inputs(self.decoder, measurements)
+        inputs = scenes.astype(np.float32)  # as it was fitted
+        overwrite(scenes)
+        return inputs
 
     def erase(self) -> None:
         """Overwrite the decoder: behind this mask nothing is read any more."""

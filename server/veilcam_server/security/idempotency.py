@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 from veilcam_client.wire.base import UNKNOWN_RUN
+from veilcam_client.wire.captures import Embedding
 from veilcam_server.errors import ProblemError
 
 ResultT = TypeVar("ResultT")
@@ -19,6 +20,8 @@ LIFETIME = 60.0
 """Time for which an answer is kept [s]."""
 KEPT = 256
 """Answers to one caller that are kept. One of 24 x 32 values is 30 kB, so that they are 8 MB."""
+MEASUREMENTS = 4
+"""Answers to one caller that are kept with an open embedding: it is what the sensor measured."""
 CAPACITY = 4096
 """Keys of one caller that are remembered."""
 CALLERS = 1024
@@ -30,6 +33,12 @@ class _Entry:
     fingerprint: bytes
     task: asyncio.Task[Any] | None
     """None where the answer is not kept any more."""
+
+    @property
+    def open(self) -> bool:
+        """Return whether an answer is kept that has an open embedding."""
+        kept = None if self.task is None else self.task.result()
+        return isinstance(getattr(kept, "embedding", None), Embedding)
 
 
 @dataclass(slots=True)
@@ -43,6 +52,8 @@ class _CallerKeys:
         """Forget older answers, and answers for which there is no room."""
         while self.answered and (self.answered[0][0] < before or len(self.answered) > KEPT):
             self.answered.popleft()[1].task = None
+        for each in [entry for _, entry in self.answered if entry.open][:-MEASUREMENTS]:
+            each.task = None
 
 
 class IdempotencyKeys:
@@ -131,11 +142,16 @@ class IdempotencyKeys:
             )
             keys.entries.pop(next(done, ""), None)
 
+        def forget() -> None:
+            keys.forget(self._now() - LIFETIME)
+
         def end(task: asyncio.Task[Any]) -> None:
             if task.cancelled() or task.exception() is not None:
                 keys.entries.pop(key, None)
             else:
                 keys.answered.append((self._now(), entry))
+                forget()
+                task.get_loop().call_later(LIFETIME + 1, forget)
 
         task.add_done_callback(end)
         return entry

@@ -121,6 +121,8 @@ export function eventText(event) {
       return `It saw ${event.label}`;
     case "seen":
       return `It sees ${event.label}`;
+    case "belief":
+      return event.sighting ? `It sees ${event.sighting.label}` : "It sees nothing";
     case "gone":
       return `${event.label} is gone, after ${duration(event.duration_s)}`;
     case "watch":

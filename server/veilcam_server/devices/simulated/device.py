@@ -19,7 +19,9 @@ import numpy.typing as npt
 import torch
 from torch.nn.functional import pixel_shuffle
 
+from veilcam_client.numbers import erasable
 from veilcam_client.wire.simulation import Faults
+from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.propagation.sampling import area_average
@@ -139,8 +141,9 @@ class SimulatedLight:
             irradiance = irradiance * ((end - begin) / conditions.exposure)
         counts = mode.white_level - mode.black_level
         numbers = mode.black_level + self._noisy(irradiance) * (counts / self._full_scale)
-        raw: Raw = numbers.round().clamp(0, mode.white_level).to(torch.int32).numpy()
-        return raw.astype(np.uint16)
+        raw: Raw = erasable(numbers.round_().clamp_(0, mode.white_level).numpy(), np.uint16)
+        overwrite(irradiance, numbers)
+        return raw
 
     def _noisy(self, irradiance: torch.Tensor) -> torch.Tensor:
         """Return raw pixels whose photon noise gives the *binned* measurement its ratio."""

@@ -266,4 +266,6 @@ class FakeRequest:
 
     def release(self) -> None:
         """Give the buffer back."""
+        if self._buffer is not None:
+            self._buffer.fill(0)
         self._buffer = None

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.numbers import erasable
 from veilcam_optics.files import replacing
 from veilcam_optics.pictures import PictureError
 from veilcam_server.devices.errors import LightError
@@ -59,7 +60,7 @@ class FileScene:
                     f"scene file {self.path} is too large: use at most {MAX_BYTES >> 20} MiB"
                 )
             picture = decoded(content)
-            return as_scene(picture, self._shape), range_warning(picture)
+            return _fitted(picture, self._shape), range_warning(picture)
         except FileNotFoundError:
             raise LightError(
                 f"there is no scene file {self.path}: check --scenes, or 'veilcamd show' a digit"
@@ -79,7 +80,14 @@ class StillScene:
 
     def read(self) -> npt.NDArray[np.float32]:
         """Return the picture; raises :class:`PictureError` for what is none."""
-        return as_scene(self.picture, self.shape)
+        return _fitted(self.picture, self.shape)
+
+
+def _fitted(picture: Picture, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    scene = as_scene(picture, shape)
+    held = erasable(scene)
+    scene.fill(0)
+    return held
 
 
 def write_scene(path: Path, image: npt.NDArray[np.uint8]) -> None:

@@ -39,7 +39,7 @@ runner = CliRunner()
         (["bundle", "list"], ["* cdcdcdcdcdcd", "damaged  configured", "fashion, 5 masks"]),
         (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),
         (["bundle", "remove", "ab"], ["* cdcdcdcdcdcd"]),
-        (["diagnostics"], ["veilcam 0.1.0", "queue_limit 8"]),
+        (["diagnostics"], ["veilcam 0.1.0", "callers 16"]),
         (["diagnostics"], ["1200 capture", "sensor_failed: no frame"]),
     ],
 )

@@ -58,6 +58,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "release": (("--release", "sealed"), "sealed"),
     "raw_budget": (("--raw-budget", "3"), 3),
     "full_scores": (("--full-scores",), True),
+    "beat": (("--beat", "off"), "off"),
     "settle": (("--settle", "0"), 0.0),
     "exposure": (("--exposure", "0.02"), 0.02),
     "snr_db": (("--simulate", "--snr-db", "30"), 30.0),

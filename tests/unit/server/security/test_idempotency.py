@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
-from veilcam_client.wire.base import RUN_HEADER, UNKNOWN_RUN
+from veilcam_client.wire.base import EXAMPLE_TIME, RUN_HEADER, UNKNOWN_RUN
+from veilcam_client.wire.captures import Classification, Embedding
 from veilcam_server.errors import ProblemError
 from veilcam_server.security import idempotency
-from veilcam_server.security.idempotency import KEPT, LIFETIME, IdempotencyKeys
+from veilcam_server.security.idempotency import KEPT, LIFETIME, MEASUREMENTS, IdempotencyKeys
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
@@ -64,6 +66,28 @@ async def test_answer_is_kept_through_many_later_ones() -> None:
     for _ in range(2):
         assert await desk.refusal("k") == "answer_lost"
     assert desk.done == KEPT + 2
+
+
+async def test_answer_with_an_open_embedding_is_kept_through_few() -> None:
+    keys, answers = IdempotencyKeys(), dict[str, Classification]()
+    open_embedding = Embedding.from_array(np.ones((2, 3), np.float32))
+
+    async def ask(key: str, embedding: Embedding | None = open_embedding) -> Classification:
+        async def work() -> Classification:
+            told: dict[str, Any] = {"epoch": "e", "number": 0, "taken_at": EXAMPLE_TIME}
+            return Classification(id=key, label="7", embedding=embedding, **told)
+
+        return await keys.once("a", key, REQUEST, work)
+
+    for number in range(MEASUREMENTS + 1):
+        answers[f"{number}"] = await ask(f"{number}")
+        await ask(f"label {number}", None)
+    with pytest.raises(ProblemError) as caught:
+        await ask("0")
+    assert caught.value.code == "answer_lost"
+    for key in ("1", f"{MEASUREMENTS}"):
+        assert await ask(key) is answers[key]
+    assert (await ask("label 0", None)).label == "7"
 
 
 async def test_keys_of_one_caller_push_out_no_other_s(monkeypatch: pytest.MonkeyPatch) -> None:
