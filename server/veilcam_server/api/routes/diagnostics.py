@@ -17,10 +17,9 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from veilcam_client.wire.status import Diagnostics, DoctorFinding, DoctorFindings, Status
 from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
-from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
+from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems, requires
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
-from veilcam_server.api.scopes import requires
 from veilcam_server.doctor.finding import Finding
 
 Examine: TypeAlias = Callable[[], Iterable[Finding]]
