@@ -12,10 +12,9 @@ from veilcam_client import __version__
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api import problems
-from veilcam_server.api.head import HeadRequests
 from veilcam_server.api.longest import longest_bodies
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.middleware import Body, RequestContext
+from veilcam_server.api.middleware import Body, HeadRequests, RequestContext
 from veilcam_server.api.routes import (
     bundles,
     calibration,

@@ -1,4 +1,4 @@
-"""Common ground of the routes: service, idempotency keys, lease, and problems in OpenAPI."""
+"""Dependencies of routes: scopes, service, idempotency keys, lease, and problems in OpenAPI."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
-from fastapi import Depends, Header, Request
+from fastapi import Depends, Header, Request, Security
 from fastapi.openapi.constants import REF_PREFIX
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
 
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
-from veilcam_server.api.scopes import CallerDep
+from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.errors import PROBLEMS
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.idempotency import IdempotencyKeys
+from veilcam_server.security.tokens import Caller
+from veilcam_server.service.responses import Scores
 from veilcam_server.service.service import Service
 
 ResultT = TypeVar("ResultT")
@@ -56,6 +59,46 @@ DEVICE = (
     "light_unsteady",
 )
 """What a route that needs the device can answer with besides."""
+
+
+# What this finds is not used: the middleware has looked at the token before a byte of the body was
+# read. It stands here so that the OpenAPI document names the scheme and each route's scope.
+_BEARER = HTTPBearer(
+    scheme_name="token",
+    description="A token from `veilcamd token create`, as `Authorization: Bearer vc_...`.",
+    auto_error=False,
+)
+
+
+async def caller_of(request: Request) -> Caller:
+    """Return the caller that the middleware found."""
+    caller: Caller = request.state.caller
+    return caller
+
+
+CallerDep = Annotated[Caller, Depends(caller_of)]
+
+
+async def _allowed(
+    needed: SecurityScopes,
+    caller: CallerDep,
+    _: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)],
+) -> None:
+    for scope in SCOPES:
+        if scope in needed.scopes:
+            caller.require(scope)
+
+
+def requires(scope: Scope) -> Any:
+    """For ``dependencies=[requires("classify")]``: 403 unless the caller has this scope."""
+    return Security(_allowed, scopes=[scope])
+
+
+def scores_for(caller: Caller) -> Scores:
+    """Return how a caller may see probabilities."""
+    if not caller.may("read:scores"):
+        return "none"
+    return "all" if caller.full_scores else "tenths"
 
 
 def problems(*codes: str) -> dict[int | str, dict[str, object]]:

@@ -1,4 +1,4 @@
-"""Around every request: its id, who asks, its body, its entry in the log, and the last resort."""
+"""Middleware of every request: id, caller, body, entry in the log, last resort, and HEAD."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 
+import anyio
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
@@ -25,7 +26,7 @@ from veilcam_server.api.problems import error_response, problem_response
 from veilcam_server.api.sizes import Sizes
 from veilcam_server.errors import ProblemError, StorageError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.headers import call_header, security_headers
+from veilcam_server.security.site import call_header, security_headers
 from veilcam_server.system.logs import log_defect
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -259,3 +260,29 @@ def _names(scope: Scope) -> tuple[str, str]:
     # HEAD is answered wherever GET is.
     method, known = scope["method"], route.methods or set()
     return method if {method, {"HEAD": "GET"}.get(method)} & known else "other", route.path
+
+
+class HeadRequests:
+    """Lets the application answer as to GET, and ends that answer after its head."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+        inner = {**scope, "method": "GET"}
+        # An event stream would go on for ever.
+        with anyio.CancelScope() as answered:
+
+            async def send_head(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    # Which route it was, as the router found out.
+                    scope.update(inner, method="HEAD")
+                    await send(message)
+                    await send({"type": "http.response.body"})
+                    answered.cancel()
+
+            await self._app(inner, receive, send_head)

@@ -15,7 +15,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import Message, Scope, Send
 
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
-from veilcam_server.security.headers import security_headers
+from veilcam_server.security.site import security_headers
 from veilcam_server.service.service import Service
 
 CAPTURES, CLASSIFICATIONS = "/v1/captures", "/v1/classifications"

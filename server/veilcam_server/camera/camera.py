@@ -21,14 +21,13 @@ from veilcam_server.camera.capture import ActiveMask, Fence, Lateness, MaskedCap
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.guard import Guard
-from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.rotation import MaskRotation
+from veilcam_server.camera.panel import MaskedPanel, MaskRotation
 from veilcam_server.camera.self_test import Checks, SelfTest, SelfTestStatus
 from veilcam_server.camera.shutter import Shutter
-from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.corrected import calibrated
 from veilcam_server.devices.errors import DisplayError
+from veilcam_server.devices.reopening import Health, stamped
 from veilcam_server.errors import NotReadyError, ProblemError, RotationImpossibleError
 from veilcam_server.masks.source import MaskSource
 

@@ -1,4 +1,4 @@
-"""The panel: a mask, once it is proven that the panel hides the scene, or opaque.
+"""Panel and rotation: a mask, once it is proven that the panel hides the scene, or opaque.
 
 When a write fails, the mask shown before is put back; when that fails too, or a self test does, the
 panel is made opaque and no mask counts as shown: state ``safe``, or ``degraded`` where nothing says
@@ -7,11 +7,15 @@ that the panel is at fault. An epoch whose mask goes from the panel for good is 
 
 from __future__ import annotations
 
+import math
+import time
 from functools import partial
 
 from veilcam_client.wire.events import MaskChanged, StateChanged
+from veilcam_client.wire.rotation import Preparation as PreparationStatus
+from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Remedy, State
-from veilcam_server.camera.capture import ActiveMask
+from veilcam_server.camera.capture import ActiveMask, Lateness, due_in, reusable
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.guard import Guard
@@ -22,6 +26,7 @@ from veilcam_server.errors import (
     FenceError,
     PanelNotHidingError,
     ProblemError,
+    RotationImpossibleError,
     UndecidedError,
     UnwatchableError,
     remedy_for,
@@ -246,3 +251,84 @@ class MaskedPanel:
         if condition != self._condition:
             self._condition = condition
             self.publish(partial(StateChanged, **condition._asdict()))
+
+
+class MaskRotation:
+    """Policy of mask changes, and the mask that is shown by it.
+
+    Args:
+        panel: panel with the mask.
+        preparation: makes epochs ready.
+        policy: policy of mask changes.
+
+    Raises:
+        RotationImpossibleError: the policy needs another mask, and there is none.
+    """
+
+    def __init__(
+        self, panel: MaskedPanel, preparation: Preparation, policy: RotationPolicy
+    ) -> None:
+        self._panel, self._preparation = panel, preparation
+        self.lateness = Lateness()
+        self.policy = policy
+
+    @property
+    def policy(self) -> RotationPolicy:
+        """Policy of mask changes."""
+        return self._policy
+
+    @policy.setter
+    def policy(self, policy: RotationPolicy) -> None:
+        if not isinstance(policy, RotationOff):
+            self.require_another()
+        self._policy = policy
+
+    @property
+    def present(self) -> tuple[str | None, int]:
+        """Name of the epoch shown (None: no mask) and the captures taken under it."""
+        active = self._panel.active
+        return (None, 0) if active is None else (active.epoch.name, active.captures)
+
+    def due_in(self) -> float:
+        """Seconds until the mask must change; inf when nothing is planned."""
+        active = self._panel.active
+        if active is None:
+            return math.inf
+        return due_in(
+            self._policy,
+            shown_for=time.monotonic() - active.since,
+            captures=active.captures,
+            chance=active.chance,
+        )
+
+    def may_reuse(self) -> bool:
+        """Return whether a mask that is due may serve one more capture, too; that is counted."""
+        active = self._panel.active
+        if active is None or not self._preparation.under_way:
+            return False
+        return active.reuse(reusable(self._policy), self.lateness)
+
+    def require_another(self) -> None:
+        """Raise :class:`RotationImpossibleError` where there is no other mask."""
+        if not self._preparation.renewable:
+            raise RotationImpossibleError(
+                "the bundle holds one pair only: serve a bundle with two or more to change masks"
+            )
+
+    def status(self) -> Rotation:
+        """Return the policy, the present epoch, and whether the next one is ready."""
+        active, preparation = self._panel.active, self._preparation
+        epoch, captures = self.present
+        return Rotation(
+            policy=self._policy,
+            epoch=epoch,
+            epoch_age_s=None if active is None else time.monotonic() - active.since,
+            captures=captures,
+            preparation=PreparationStatus(
+                ready=preparation.ready,
+                prepared=preparation.count,
+                last_s=preparation.took,
+                late=self.lateness.late,
+                reused=self.lateness.reused,
+            ),
+        )

@@ -1,4 +1,4 @@
-"""Panels and sensors: drivers that keep to ``protocols.py``, and what stands in for the hardware.
+"""Panels and sensors: drivers that keep to ``base.py``, and what stands in for the hardware.
 
 The drivers are an ST7735R on spidev and gpiod (``Display``) and an IMX477 on picamera2
 (``Sensor``). The simulated camera is the same drivers on an emulated panel and a fake picamera2.

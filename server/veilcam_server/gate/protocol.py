@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from veilcam_client.wire.base import RUN_HEADER
-from veilcam_server.security.headers import call_header, security_headers
+from veilcam_server.security.site import call_header, security_headers
 from veilcam_server.system.logs import Throttle
 
 PORTION = 16 * 1024

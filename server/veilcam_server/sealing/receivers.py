@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, field_validator
 
 from veilcam_client.keys.receivers import Receiver
-from veilcam_client.wire.sealing import MOST_RECEIVERS, PairedReceiver
+from veilcam_client.wire.sealing import MOST_RECEIVERS, PairedReceiver, ReceiverRequest, Receivers
 from veilcam_server.errors import ProblemError
 from veilcam_server.system.state_file import Report, StateStore, log_fault
 
@@ -132,3 +134,49 @@ def parse_receiver(text: str) -> Receiver:
         return Receiver.parse(text)
     except ValueError as error:
         raise ProblemError("invalid_request", str(error)) from None
+
+
+class Pairing:
+    """Pairing of receivers, for the API.
+
+    Args:
+        store: store of the receivers.
+        device: public key of the device that seals to them.
+        renew: discards the epoch that was prepared for the receivers of before; blocks.
+    """
+
+    def __init__(self, store: ReceiverStore, device: str, renew: Callable[[], None]) -> None:
+        self._store, self._device, self._renew = store, device, renew
+
+    @property
+    def paired(self) -> tuple[PairedReceiver, ...]:
+        """Whoever receives from the next epoch on, the oldest first."""
+        return self._store.paired
+
+    def all(self) -> Receivers:
+        """Every receiver, and the device that seals to them."""
+        return Receivers(device=self._device, receivers=self.paired)
+
+    async def add(self, question: ReceiverRequest) -> PairedReceiver:
+        """Pair with a receiver.
+
+        Raises:
+            ProblemError: it is no receiver's key.
+            ProblemError, StorageError: as
+                :meth:`ReceiverStore.add`.
+        """
+        return await asyncio.to_thread(self._add, question)
+
+    async def remove(self, receiver_id: str) -> None:
+        """Seal nothing more to a receiver; raises as :meth:`ReceiverStore.remove`."""
+        await asyncio.to_thread(self._remove, receiver_id)
+
+    # Each on one thread: who breaks off in between leaves no epoch of the receivers of before.
+    def _add(self, question: ReceiverRequest) -> PairedReceiver:
+        made = self._store.add(question.label, parse_receiver(question.key))
+        self._renew()
+        return made
+
+    def _remove(self, receiver_id: str) -> None:
+        self._store.remove(receiver_id)
+        self._renew()

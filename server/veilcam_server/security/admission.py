@@ -16,14 +16,12 @@ from veilcam_server.errors import (
     StorageError,
     UnauthorizedError,
 )
-from veilcam_server.security.caller import Caller
 from veilcam_server.security.idempotency import IdempotencyKeys
-from veilcam_server.security.lease import Lease
-from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
+from veilcam_server.security.limits import ConcurrencyLimit, Lease, RateLimit
 from veilcam_server.security.log import Log
 from veilcam_server.security.sessions import HEADER, SessionStore
 from veilcam_server.security.site import Site
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import Caller, TokenStore
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report, log_fault
 

@@ -21,8 +21,7 @@ from starlette.datastructures import Headers
 from starlette.requests import cookie_parser
 
 from veilcam_server.errors import StorageError, UnauthorizedError
-from veilcam_server.security.caller import Caller
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import Caller, TokenStore
 from veilcam_server.system.state_file import Report, StateStore, log_fault
 
 LIFETIME = 7 * 86_400.0

@@ -1,4 +1,4 @@
-"""Tokens: who may ask this daemon. The state directory holds what checks them, never a secret."""
+"""Tokens, and the callers that they admit. The state directory checks them, and has no secret."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
-from veilcam_server.security.caller import Caller
 from veilcam_server.system.state_file import (
     Report,
     StateStore,
@@ -30,6 +30,36 @@ KEPT = 90 * 86_400.0
 _PAUSE = 60.0
 """Before the day of a use is written again, where that failed [s]."""
 _TOKEN = re.compile(r"(?i:bearer) vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Caller of the API.
+
+    Attributes:
+        id: id of the token; where none is wanted, the peer's address.
+        label: label of the token, for people.
+        scopes: scopes of the caller.
+        expires: end of the token, seconds since 1970; None: never.
+        full_scores: True where the daemon tells scores in full, and not in tenths.
+    """
+
+    id: str
+    label: str
+    scopes: frozenset[str]
+    expires: float | None = None
+    full_scores: bool = False
+
+    def may(self, scope: Scope) -> bool:
+        """Return whether the caller has this scope."""
+        return scope in self.scopes
+
+    def require(self, scope: Scope) -> None:
+        """Raise :class:`ProblemError` unless the caller has this scope."""
+        if not self.may(scope):
+            raise ProblemError(
+                "forbidden", f"this token lacks the scope {scope}: ask for one that has it"
+            )
 
 
 class _Row(BaseModel):

@@ -1,4 +1,4 @@
-"""Responses of the API: what may be said in the clear, and nothing else.
+"""Responses of the API, and the readers that make them: what may be said in the clear.
 
 All else that is known of a capture depends on the light or tells of other callers; it is sealed
 with the embedding, or stays here.
@@ -6,9 +6,11 @@ with the embedding, or stays here.
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import Mapping
-from typing import Literal, TypeVar
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal, ParamSpec, TypeVar
 
 from veilcam_client.keys.commitments import answer_digest
 from veilcam_client.wire.captures import (
@@ -21,6 +23,8 @@ from veilcam_client.wire.captures import (
 from veilcam_client.wire.events import Gone, Seen
 from veilcam_client.wire.watch import Belief, Sighting
 from veilcam_server.camera.capture import Captured, Provenance
+from veilcam_server.masks.source import Evidence
+from veilcam_server.security.log import Log
 
 SightT = TypeVar("SightT", Belief, Sighting, Seen, Gone)
 
@@ -111,3 +115,91 @@ def _tenths(scores: Mapping[str, float] | None) -> Mapping[str, float] | None:
     if scores is None:
         return None
     return {label: round(score, 1) for label, score in scores.items()}
+
+
+P = ParamSpec("P")
+ResultT = TypeVar("ResultT")
+
+
+class Readers:
+    """Reads captures one after the other, while the device serves the next. Lets go of each.
+
+    Args:
+        log: log that has an answer before anybody else.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._thread = ThreadPoolExecutor(1, "readers")
+
+    async def classification(
+        self,
+        name: str,
+        captured: Captured,
+        scores: Scores,
+        queued: float | None,
+        caller: str | None,
+    ) -> Classification:
+        """Return the label of a capture.
+
+        Args:
+            name: id of the answer.
+            captured: capture to read.
+            scores: scores that are told beside the label.
+            queued: time that the request waited for the device [s]; None: the embedding stays.
+            caller: caller that the answer leaves to.
+        """
+        return await self._do(captured, self._label, name, captured, scores, queued, caller)
+
+    async def embedding(
+        self, name: str, captured: Captured, queued: float, caller: str | None
+    ) -> Capture:
+        """Return the embedding of a capture; arguments as of :meth:`classification`."""
+        return await self._do(captured, self._release, name, captured, queued, caller)
+
+    async def evidence(self, captured: Captured) -> Evidence:
+        """Return the evidence of a capture, of which nothing leaves."""
+        return await self._do(captured, captured.evidence)
+
+    def close(self) -> None:
+        """End the thread once it is idle."""
+        self._thread.shutdown()
+
+    def _label(
+        self,
+        name: str,
+        captured: Captured,
+        scores: Scores,
+        queued: float | None,
+        caller: str | None,
+    ) -> Classification:
+        prediction = captured.classify()
+        embedding = None if queued is None else captured.release(queued)
+        answer = classification_response(name, captured, prediction, embedding, scores)
+        self._write(answer, captured, caller)
+        return answer
+
+    def _release(self, name: str, captured: Captured, queued: float, caller: str | None) -> Capture:
+        answer = capture_response(name, captured, captured.release(queued))
+        self._write(answer, captured, caller)
+        return answer
+
+    def _write(
+        self, answer: Capture | Classification, captured: Captured, caller: str | None
+    ) -> None:
+        """Write an answer to the log; what is replayed is not logged."""
+        if captured.provenance is not None:
+            facts = logged(answer, captured.provenance, caller)
+            self._log.append("capture", facts, at=answer.taken_at)
+
+    async def _do(
+        self, captured: Captured, work: Callable[P, ResultT], *args: P.args, **given: P.kwargs
+    ) -> ResultT:
+        try:
+            future = self._thread.submit(work, *args, **given)
+        except BaseException:
+            captured.done()
+            raise
+        # Also of one that is called off before its turn, as nobody waits for it any more.
+        future.add_done_callback(lambda _: captured.done())
+        return await asyncio.wrap_future(future)

@@ -7,12 +7,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
+import numpy as np
+import numpy.typing as npt
 import structlog
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.sealing import Release
+from veilcam_client.wire.simulation import Faults
 from veilcam_client.wire.status import Device as DeviceInfo
+from veilcam_optics.pictures import PictureError
 from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.loader import Identity, Opener, release_terms, rotation_policy
 from veilcam_server.bundles.manager import BundleManager
@@ -27,9 +31,10 @@ from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import Checks, OpticalSelfTest
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.registry import open_device
+from veilcam_server.devices.simulated.images import as_scene, decoded, range_warning
+from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import ProblemError
 from veilcam_server.service.rotation_policy import PolicyStore
-from veilcam_server.service.simulation import Simulation
 from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
 from veilcam_server.system.logs import log_defect
@@ -37,6 +42,32 @@ from veilcam_server.watch.watcher import WatchSetup, open_watch
 from veilcam_training.bundle import Bundle, read_bundle
 
 log = structlog.get_logger()
+
+
+class Simulation:
+    """Scenes and faults of a simulated device, for callers who may set them.
+
+    Args:
+        scenes: scenes before which pictures are held up.
+        break_device: breaks and mends the device.
+    """
+
+    def __init__(self, scenes: Scenes, break_device: Callable[[Faults], None]) -> None:
+        self.scenes, self.break_device = scenes, break_device
+
+    def picture(self, content: bytes) -> tuple[npt.NDArray[np.float32], str | None]:
+        """Return a picture of the scene's size, and a warning.
+
+        Raises:
+            ProblemError: it is no picture.
+        """
+        try:
+            picture = decoded(content)
+            scene, warning = as_scene(picture, self.scenes.shape), range_warning(picture)
+        except PictureError as error:
+            raise ProblemError("invalid_request", f"this {error}") from None
+        fitted = scene if scene.ndim == 2 else np.moveaxis(scene, 0, 2)
+        return fitted, None if warning is None else f"this {warning}"
 
 
 class Releases(NamedTuple):

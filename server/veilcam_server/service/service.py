@@ -39,16 +39,13 @@ from veilcam_server.camera.capture import Captured
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.errors import ProblemError, ReplayingError, StorageError, UnsteadyLightError
 from veilcam_server.masks.source import Evidence
+from veilcam_server.sealing.receivers import Pairing
 from veilcam_server.security.log import Log
-from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
-from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.readers import Readers
-from veilcam_server.service.responses import Scores
-from veilcam_server.service.scheduler import Scheduler
-from veilcam_server.service.served_camera import ServedCamera
-from veilcam_server.service.simulation import Simulation
+from veilcam_server.service.responses import Readers, Scores
+from veilcam_server.service.scheduler import Alarms, Scheduler
+from veilcam_server.service.served_camera import ServedCamera, Simulation
 from veilcam_server.service.state import State
 from veilcam_server.system.clock import MachineClock
 from veilcam_server.system.logs import log_unhandled

@@ -16,10 +16,10 @@ from veilcam_server.api.dependencies import (
     OnceDep,
     ServiceDep,
     problems,
+    requires,
     unleased,
     uploads,
 )
-from veilcam_server.api.scopes import requires
 
 PREFIX = "/v1/bundles"
 

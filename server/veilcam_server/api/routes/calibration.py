@@ -10,8 +10,15 @@ from veilcam_client.wire.calibration import (
     CalibrationStatus,
     SceneConfirmation,
 )
-from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems, unleased
-from veilcam_server.api.scopes import requires
+from veilcam_server.api.dependencies import (
+    BODY,
+    CHANGE,
+    OnceDep,
+    ServiceDep,
+    problems,
+    requires,
+    unleased,
+)
 
 router = APIRouter(prefix="/v1/calibration", redirect_slashes=False, tags=["Calibration"])
 

@@ -18,10 +18,19 @@ from veilcam_client.wire.captures import (
     Embedding,
 )
 from veilcam_client.wire.sealing import Release
-from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
-from veilcam_server.api.scopes import CallerDep, requires, scores_for
+from veilcam_server.api.dependencies import (
+    BODY,
+    DEVICE,
+    CallerDep,
+    OnceDep,
+    ServiceDep,
+    problems,
+    requires,
+    scores_for,
+    unleased,
+)
 from veilcam_server.errors import ProblemError
-from veilcam_server.security.caller import Caller
+from veilcam_server.security.tokens import Caller
 from veilcam_server.service.service import Service
 
 _RELEASE = ("embedding_withheld", "embedding_withheld", "masks_spent")

@@ -18,10 +18,9 @@ from pydantic import JsonValue
 
 from veilcam_client.wire.privacy import Privacy
 from veilcam_client.wire.status import Diagnostics, DoctorFinding, DoctorFindings, Status
-from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
+from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems, requires
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
-from veilcam_server.api.scopes import requires
 from veilcam_server.doctor.finding import Finding
 from veilcam_server.security.privacy import privacy_of
 from veilcam_server.service.service import Service

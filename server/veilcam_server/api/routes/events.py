@@ -10,9 +10,15 @@ from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from veilcam_client.wire.events import Believed, Event, Gone, Seen
-from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
-from veilcam_server.api.scopes import CallerDep, requires, scores_for
-from veilcam_server.security.caller import Caller
+from veilcam_server.api.dependencies import (
+    AdmissionDep,
+    CallerDep,
+    ServiceDep,
+    problems,
+    requires,
+    scores_for,
+)
+from veilcam_server.security.tokens import Caller
 from veilcam_server.service.responses import told_sight
 
 RETRY_MS = 1000

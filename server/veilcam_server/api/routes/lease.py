@@ -9,8 +9,15 @@ from fastapi import APIRouter, Query, Request
 
 from veilcam_client.wire.lease import Lease as LeaseResponse
 from veilcam_client.wire.lease import LeaseRequest, NewLease
-from veilcam_server.api.dependencies import BODY, AdmissionDep, HolderDep, OnceDep, problems
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.dependencies import (
+    BODY,
+    AdmissionDep,
+    CallerDep,
+    HolderDep,
+    OnceDep,
+    problems,
+    requires,
+)
 from veilcam_server.security.admission import Admission
 
 router = APIRouter(prefix="/v1/lease", redirect_slashes=False, tags=["Lease"])

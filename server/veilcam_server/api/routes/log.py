@@ -8,8 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogRecords
-from veilcam_server.api.dependencies import ServiceDep, problems
-from veilcam_server.api.scopes import requires
+from veilcam_server.api.dependencies import ServiceDep, problems, requires
 
 router = APIRouter(prefix="/v1/log", redirect_slashes=False, tags=["Log"])
 

@@ -17,7 +17,7 @@ from fastapi.responses import HTMLResponse, Response
 from veilcam_server.api.conditional import KNOWN, IfNoneMatch, has
 from veilcam_server.api.dependencies import AdmissionDep, open_problems
 from veilcam_server.errors import ProblemError
-from veilcam_server.security.headers import content_security_policy
+from veilcam_server.security.site import content_security_policy
 
 FOLDER = Path(__file__).parents[1] / "page"
 ASSETS = "/page"

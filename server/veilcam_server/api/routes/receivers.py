@@ -8,8 +8,7 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
 from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
-from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems
-from veilcam_server.api.scopes import requires
+from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems, requires
 
 _CHANGE = (*CHANGE, "not_enabled")
 

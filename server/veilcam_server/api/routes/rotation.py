@@ -12,9 +12,9 @@ from veilcam_server.api.dependencies import (
     OnceDep,
     ServiceDep,
     problems,
+    requires,
     unleased,
 )
-from veilcam_server.api.scopes import requires
 
 router = APIRouter(prefix="/v1/rotation", redirect_slashes=False, tags=["Masks"])
 

@@ -10,12 +10,11 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
 from veilcam_client.wire.tokens import NewSession, Session
-from veilcam_server.api.dependencies import AdmissionDep, problems
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.dependencies import AdmissionDep, CallerDep, problems, requires
 from veilcam_server.errors import ProblemError, UnauthorizedError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.caller import Caller
 from veilcam_server.security.sessions import SessionStore, cookie_name
+from veilcam_server.security.tokens import Caller
 
 PATH = "/v1/session"
 

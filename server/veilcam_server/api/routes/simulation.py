@@ -7,8 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES, Faults, HeldScene
-from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased, uploads
-from veilcam_server.api.scopes import requires
+from veilcam_server.api.dependencies import BODY, ServiceDep, problems, requires, unleased, uploads
 
 PREFIX = "/v1/simulation"
 PATH = f"{PREFIX}/scene"

@@ -16,11 +16,17 @@ from veilcam_client.wire.tokens import (
     TokenRequest,
     Tokens,
 )
-from veilcam_server.api.dependencies import BODY, CHANGE, AdmissionDep, OnceDep, problems
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.dependencies import (
+    BODY,
+    CHANGE,
+    AdmissionDep,
+    CallerDep,
+    OnceDep,
+    problems,
+    requires,
+)
 from veilcam_server.errors import ProblemError
-from veilcam_server.security.caller import Caller
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import Caller, TokenStore
 
 
 async def _store(admission: AdmissionDep) -> TokenStore:

@@ -5,9 +5,16 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from veilcam_client.wire.watch import Watch, WatchPolicy
-from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased
-from veilcam_server.api.scopes import CallerDep, requires, scores_for
-from veilcam_server.security.caller import Caller
+from veilcam_server.api.dependencies import (
+    BODY,
+    CallerDep,
+    ServiceDep,
+    problems,
+    requires,
+    scores_for,
+    unleased,
+)
+from veilcam_server.security.tokens import Caller
 from veilcam_server.service.responses import told_sight
 
 PATH = "/v1/watch"

@@ -10,7 +10,7 @@ from tests.app.server.gate.conftest import POST, REQUEST, SLOW, Behind, Serving,
 
 from veilcam_server.gate import protocol
 from veilcam_server.gate.protocol import PORTION
-from veilcam_server.security.headers import security_headers
+from veilcam_server.security.site import security_headers
 
 pytestmark = pytest.mark.anyio
 

@@ -17,8 +17,8 @@ import pytest
 from tests.app.server.gate.conftest import REQUEST, SLOW, Behind, Serving, heard, is_served
 from tests.app.server.security.test_tls import write_pair
 
+from veilcam_server.daemon import server_context
 from veilcam_server.gate import server
-from veilcam_server.security.tls import server_context
 
 pytestmark = pytest.mark.anyio
 

@@ -16,8 +16,8 @@ from tests.app.server.test_daemon import daemon
 
 from veilcam_client import Camera
 from veilcam_client.errors import AccessError, ConnectError
+from veilcam_server.daemon import server_context
 from veilcam_server.errors import StartError
-from veilcam_server.security.tls import server_context
 from veilcam_server.security.tokens import TokenStore
 
 

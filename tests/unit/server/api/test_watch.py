@@ -19,8 +19,7 @@ from veilcam_client.wire.watch import OnRequest, QuietHours, Watch, Watching, Wa
 from veilcam_server.api.routes.events import _told
 from veilcam_server.errors import NotReadyError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.caller import Caller
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import Caller, TokenStore
 from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
 
     from veilcam_client.wire.events import Event
-    from veilcam_server.security.caller import Caller
+    from veilcam_server.security.tokens import Caller
 
 pytestmark = pytest.mark.anyio
 

@@ -14,7 +14,7 @@ from veilcam_client.wire.lease import NewLease
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.lease import Lease
+from veilcam_server.security.limits import Lease
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:

@@ -26,9 +26,8 @@ from veilcam_server.errors import (
     UnauthorizedError,
 )
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.caller import Caller
 from veilcam_server.security.log import FOLDER
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import Caller, TokenStore
 
 if TYPE_CHECKING:
     import httpx

@@ -19,9 +19,8 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.errors import NotReadyError, SelfTestError, StorageError
-from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.service.scheduler import Alarms, Scheduler
 from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:

@@ -14,13 +14,12 @@ from tests.unit.server.devices.clock import Clock
 from tests.unit.server.service.waiting import until
 
 from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices import Device, SensorError
 from veilcam_server.devices.errors import SensorHungError
+from veilcam_server.devices.reopening import Health, stamped
 from veilcam_server.errors import NotReadyError, UndecidedError
-from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.service.scheduler import Alarms, Scheduler
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
