@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -52,7 +53,9 @@ _SHORTEST = 6e-5
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
 
-_WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_hours", "beat"))
+_WORDS = frozenset(
+    ("auth", "beat", "device", "log_level", "release", "watch", "quiet_hours", "beat")
+)
 """Settings that are one of a few words, a rate or times of day."""
 
 _REPLAYED = frozenset(
@@ -334,6 +337,8 @@ class Settings(CallerLimits, Wiring):
                 shown[name] = value.model_dump()
             elif value == ():
                 shown[name] = None
+            elif isinstance(value, float) and not math.isfinite(value):
+                shown[name] = str(value)  # JSON has no such number
             elif value is None or isinstance(value, (bool, int, float)) or name in _WORDS:
                 shown[name] = value
             else:

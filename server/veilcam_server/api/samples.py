@@ -73,6 +73,7 @@ SAMPLES: Mapping[str, Sample] = {
     "remove_receiver": Sample("camera.receivers.remove(receiver_id)"),
     "status": Sample("camera.status()"),
     "diagnostics": Sample("camera.diagnostics()"),
+    "privacy": Sample(),
     "calibration": Sample("camera.calibration.get()"),
     "start_calibration": Sample("camera.calibration.start(repeats=2)", {"repeats": 2}),
     "confirm_scene": Sample('camera.calibration.confirm("lamp")', {"scene": "lamp"}),

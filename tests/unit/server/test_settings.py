@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -68,6 +70,12 @@ def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.Monke
     for given, hosts in (("a.example", ("a.example",)), ('["a", "b:1"]', ("a", "b:1"))):
         monkeypatch.setenv("VEILCAM_HOSTS", given)
         assert Settings(bundle=Path("a.veilcam")).hosts == hosts
+
+
+def test_redacted_settings_are_json() -> None:
+    made = Settings(bundle=Path("a.veilcam"), device="simulated", snr_db=math.inf, beat="off")
+    assert json.loads(json.dumps(made.redacted(), allow_nan=False))["snr_db"] == "inf"
+    assert made.redacted()["beat"] == "off"
 
 
 def test_watch_setting_is_a_rate_and_hours() -> None:
