@@ -20,8 +20,8 @@ def privacy_of(release: Release, *, beat: bool = True, full_scores: bool = False
             _listener(beat=beat),
             Observer(
                 who="has a token that reads the status",
-                learns="When captures are taken, who receives them, and faults; not whether "
-                "anybody is there.",
+                learns="When captures are taken, who receives them, and faults; of what is there, "
+                "no more than the figure.",
                 measured=_auc("presence", FIGURES["status_presence_auc_upper"]),
                 switch="`veilcam token revoke` ends a token",
             ),
@@ -62,7 +62,9 @@ def privacy_of(release: Release, *, beat: bool = True, full_scores: bool = False
 
 def _listener(*, beat: bool) -> Observer:
     sizes = f"{FIGURES['listener_sizes_a_route']:.0f} size a route"
-    learns = "That the camera is in use; labels, arrivals and departures do not show."
+    learns = (
+        "That the camera is in use. No size tells what is seen; times tell no more than the figure."
+    )
     measured = f"{sizes}; " + _auc("arrivals", FIGURES["listener_presence_auc_upper"])
     switch = "`--beat off` saves bytes, and shows when something is seen"
     if not beat:

@@ -15,7 +15,7 @@ export function privacyView(camera) {
   }
 
   function observer({ who, learns, measured, switch: change }) {
-    return h("li", {}, h("b", {}, `Who ${who}`), h("span", {}, learns), h("span", {}, `Measured: ${measured}.`), h("span", {}, `Switch: ${change}.`));
+    return h("li", {}, h("b", {}, `Who ${who}`), h("span", {}, learns), h("span", {}, `Measured: ${measured}.`), h("span", {}, `Switch: ${change.replaceAll("`", "")}.`));
   }
 
   function leaves({ release, raw_budget: budget, receivers }) {
