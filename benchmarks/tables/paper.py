@@ -194,6 +194,7 @@ def _draw_hiding(axes: Axes, name: str, figures: Mapping[str, float]) -> None:
         xlabel="read right without the key [%]",
         ylabel="read right with it [%]",
         xlim=(0, 100),
+        ylim=(0, 102),
         title="With the key and without",
     )
     tidy(axes)
