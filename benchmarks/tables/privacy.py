@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from benchmarks.tables.table import ROOT
 from veilcam_server.security.privacy import privacy_of
+from veilcam_server.security.privacy_figures import FIGURES
 
 TOLD: Mapping[str, tuple[str, ...]] = {
     "privacy": (
@@ -32,17 +33,24 @@ def module() -> str:
         '"""Figures that the daemon tells of privacy."""',
         "",
         "FIGURES: dict[str, float] = {",
+        *(f'    "{name}": {value},' for name, value in _figures().items()),
     ]
-    for file, names in TOLD.items():
-        record = json.loads((ROOT / "benchmarks" / "results" / f"{file}.json").read_text())
-        lines += [f'    "{name}": {record[name]["value"]},' for name in names]
     return "\n".join([*lines, "}", ""])
 
 
 def learned() -> str:
     """Return what somebody can learn from a camera with sealed embeddings, as a table."""
+    FIGURES.update(_figures())
     rows = [
         f"| {each.who} | {each.learns} | {each.measured} | {each.switch} |"
         for each in privacy_of("sealed").observers
     ]
     return "\n".join(["| who | learns | measured | switch |", "|---|---|---|---|", *rows, ""])
+
+
+def _figures() -> dict[str, float]:
+    found: dict[str, float] = {}
+    for file, names in TOLD.items():
+        record = json.loads((ROOT / "benchmarks" / "results" / f"{file}.json").read_text())
+        found |= {name: record[name]["value"] for name in names}
+    return found
