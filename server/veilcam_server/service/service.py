@@ -28,7 +28,7 @@ from veilcam_client.wire.events import (
 )
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import Release
-from veilcam_client.wire.simulation import Faults, HeldScene
+from veilcam_client.wire.simulation import HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_client.wire.watch import Watch, WatchPolicy
 from veilcam_server.bundles.loader import LoadedBundle
@@ -70,6 +70,7 @@ class Service:
     ) -> None:
         self._camera, self._identity = camera.engine, camera.identity
         self._state, self._heartbeat = state, heartbeat
+        self.report = state.report
         self._releases, self._policies = camera.releases, camera.policies
         self._bundles, self._simulation = camera.bundles, camera.simulation
         self._pairing: Pairing | None = None
@@ -131,10 +132,6 @@ class Service:
             self._queue.close()
             self._readers.close()
             self._let_go()
-
-    def report(self, fault: ProblemError) -> None:
-        """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
-        self._state.report(fault)
 
     def healthy(self) -> bool:
         """Return whether panel and camera still answer."""
@@ -327,15 +324,6 @@ class Service:
             # In line with captures and self tests, so that none of them sees two scenes.
             number = await self._queue.run(partial(simulation.scenes.hold, picture))
         return HeldScene(scene=number, warning=warning)
-
-    def set_faults(self, faults: Faults) -> Faults:
-        """Break a simulated device, or mend it, also while it takes a capture.
-
-        Raises:
-            ProblemError: that is not allowed here.
-        """
-        self.simulation.break_device(faults)
-        return faults
 
     async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
         """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""

@@ -53,7 +53,8 @@ from veilcam_server.service.service import Service
 from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
-from veilcam_server.watch.watcher import WatchSetup, WatchStore
+from veilcam_server.watch.policy import WatchStore
+from veilcam_server.watch.watcher import WatchSetup
 from veilcam_training.bundle import Bundle, Fresh, Pair, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,

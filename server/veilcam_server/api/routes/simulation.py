@@ -59,4 +59,5 @@ async def take_scene_away(service: ServiceDep) -> HeldScene:
 @router.put("/faults", responses=problems(*BODY, "not_enabled", "leased"))
 async def set_faults(service: ServiceDep, question: Faults) -> Faults:
     """Break the panel or the sensor, at once; what is not named is mended."""
-    return service.set_faults(question)
+    service.simulation.break_device(question)
+    return question

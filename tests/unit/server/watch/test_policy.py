@@ -10,7 +10,7 @@ import pytest
 
 from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff, WatchPolicy
 from veilcam_server.errors import ProblemError, StorageError
-from veilcam_server.watch.watcher import WatchStore, resting
+from veilcam_server.watch.policy import WatchStore, resting
 
 BERLIN = ZoneInfo("Europe/Berlin")
 TWICE = Watching(rate_hz=2.0)

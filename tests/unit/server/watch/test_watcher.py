@@ -29,15 +29,8 @@ from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
 from veilcam_server.system import clock as clock_of_machine
 from veilcam_server.system.clock import MachineClock
-from veilcam_server.watch.watcher import (
-    TICK,
-    Watched,
-    Watcher,
-    WatchSetup,
-    WatchStore,
-    open_watch,
-    resting,
-)
+from veilcam_server.watch.policy import WatchStore, resting
+from veilcam_server.watch.watcher import TICK, Watched, Watcher, WatchSetup, open_watch
 
 pytestmark = pytest.mark.anyio
 ResultT = TypeVar("ResultT")
