@@ -16,7 +16,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,10 +69,11 @@ class Camera:
     Args:
         url: URL of the daemon.
         store: store of its tokens.
+        clients: end of its clients.
     """
 
-    def __init__(self, url: str, store: TokenStore) -> None:
-        self.url, self._store = url, store
+    def __init__(self, url: str, store: TokenStore, clients: ExitStack) -> None:
+        self.url, self._store, self._clients = url, store, clients
         self.owner = self.client(OWNER)
 
     def client(self, scopes: Sequence[Scope], url: str | None = None) -> httpx.Client:
@@ -81,7 +82,8 @@ class Camera:
         context = ssl.create_default_context()
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         headers = {"Authorization": f"Bearer {token}"}
-        return httpx.Client(base_url=url or self.url, verify=context, headers=headers, timeout=60)
+        made = httpx.Client(base_url=url or self.url, verify=context, headers=headers, timeout=60)
+        return self._clients.enter_context(made)
 
     def hold(self, image: npt.NDArray[np.uint8]) -> None:
         """Hold a picture before the camera."""
@@ -101,8 +103,8 @@ def served(folder: Path, bundle: Bundle, *options: str) -> Iterator[Camera]:
     paths = certified(folder)
     given = ("--auth", "tokens", "--scene-api", "--settle", "0", "--exposure", "0", *options)
     tls = ("--tls-certificate", str(paths[0]), "--tls-key", str(paths[1]))
-    with running(file, scene, folder, *given, *tls) as url:
-        yield Camera(url, TokenStore(folder / "state"))
+    with ExitStack() as clients, running(file, scene, folder, *given, *tls) as url:
+        yield Camera(url, TokenStore(folder / "state"), clients)
 
 
 def bundles() -> dict[str, Bundle]:
