@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import typer
 
 from veilcam_server.cli.options import options_of
@@ -9,8 +11,12 @@ from veilcam_server.cli.terminal import JsonOption
 from veilcam_server.settings import Settings
 
 
-@options_of(Settings, ("release", "beat", "full_scores"))
-def privacy(settings: Settings, *, json: JsonOption = False) -> None:
+class _Settings(Settings):
+    bundle: Path = Path()  # of no matter here
+
+
+@options_of(_Settings, ("release", "beat", "full_scores"))
+def privacy(settings: _Settings, *, json: JsonOption = False) -> None:
     """Say what somebody can learn from this camera: who, what, the measured figure, the switch.
 
     Settings are those of the environment, as for 'serve', or given here.
