@@ -109,10 +109,13 @@ async def test_stream_of_events_is_told_too(bench: Bench) -> None:
     service = bench.service(bench.camera())
     app, heads = create_app(service), list[httpx.Headers]()
     listener = anyio.CancelScope()
+    asked = iter([{"type": "http.request"}])
 
     async def receive() -> Message:
-        await anyio.lowlevel.checkpoint()
-        return {"type": "http.request"}
+        for message in asked:
+            return message
+        await anyio.sleep_forever()
+        raise AssertionError
 
     async def send(message: Message) -> None:
         heads.append(httpx.Headers(message["headers"]))
