@@ -12,4 +12,9 @@ BELIEF: Figures = {
         "{:.2%}",
     ),
     "belief_latency_s": ("people", "until it is told, in the median", "{:.2f} s"),
+    "beat_mb_per_day": (
+        "privacy",
+        "a stream of digits behind TLS, two looks a second, a mask at each, a day",
+        "{:.0f} MB",
+    ),
 }
