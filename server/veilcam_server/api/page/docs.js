@@ -5,6 +5,9 @@ import { card, h, say } from "./dom.js";
 
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
+const index = document.getElementById("index");
+const WIDE = matchMedia("(min-width: 56rem)");
+const READ = 96; // An operation is read once its top is so near to the window's [px].
 const METHODS = ["get", "put", "post", "delete"];
 
 // Only what this document has: code between backquotes, and plain text.
@@ -85,9 +88,43 @@ function draw(found) {
   );
 }
 
+// A list of all operations by subject: beside the text, or folded above it where there is no room.
+function list() {
+  const groups = [...main.querySelectorAll(".subject")].map((subject) => [
+    h("h2", {}, subject.querySelector("h2").textContent),
+    h("ul", {}, [...subject.querySelectorAll("article")].map(({ id }) => {
+      const [method, path] = document.querySelectorAll(`#${id} h3 code`);
+      return h("li", {}, h("a", { href: `#${id}` }, h("span", {}, method.textContent), " ", path.textContent));
+    })),
+  ]);
+  const folded = h("details", { open: WIDE.matches }, h("summary", {}, "Operations"), groups.flat());
+  WIDE.addEventListener("change", () => { folded.open = WIDE.matches; });
+  index.replaceChildren(folded);
+  addEventListener("scroll", follow, { passive: true });
+  document.getElementById(location.hash.slice(1))?.scrollIntoView();
+  follow();
+}
+
+// Marks the operation that is read. What stands last cannot come up to the top: there the chosen one counts.
+function follow() {
+  const all = [...main.querySelectorAll("article")];
+  const read = all.findLast((each) => each.getBoundingClientRect().top <= READ) ?? all[0];
+  const ends = innerHeight + scrollY >= document.documentElement.scrollHeight - 1;
+  const below = ends ? all.slice(all.indexOf(read) + 1) : [];
+  const { id } = below.find((each) => location.hash === `#${each.id}`) ?? below.at(-1) ?? read;
+  const link = index.querySelector(`[href="#${id}"]`);
+  const before = index.querySelector("[aria-current]");
+  if (link === before) return;
+  before?.removeAttribute("aria-current");
+  link.setAttribute("aria-current", "true");
+  // The list alone is moved, where it stands beside the text.
+  if (WIDE.matches) index.scrollTop = link.offsetTop - index.clientHeight / 2;
+}
+
 async function open() {
   try {
     draw(await get("/v1/openapi.json"));
+    list();
   } catch (error) {
     main.replaceChildren(h("h1", {}, "The API"));
     notice.hidden = false;
