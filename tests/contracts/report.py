@@ -145,8 +145,8 @@ def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
     yield "## Measured"
     yield ""
     yield "Largest relative distance from the promise over all sizes and inputs, to one digit, in"
-    yield "float64 unless the contract says otherwise. An empty cell: the contract says nothing about"
-    yield "this operator. Devices are the CPU, a GPU if there is one, and torch's `meta`."
+    yield "float64 unless the contract says otherwise. An empty cell: the contract says nothing"
+    yield "about this operator. Devices are the CPU, a GPU if there is one, and torch's `meta`."
     yield ""
     numbers = [each for each in CONTRACTS if each.tolerance]
     yield f"| operator | {' | '.join(each.name for each in numbers)} |"
