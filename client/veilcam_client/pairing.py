@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import platform
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from veilcam_client.camera import Camera
 from veilcam_client.errors import ArgumentError
@@ -68,10 +68,10 @@ def pair(
     label = label or re.sub(r"[^ -~]", "", platform.node())[:LABEL_LENGTH] or "receiver"
     with new_profile(profile or _name(asked), key, exact=profile is not None) as (name, save):
         # No token or authority of the environment: the line alone says whom to trust.
-        with Camera(profile=Profile(url, certificate=certificate)) as camera:
+        own = Profile(url, certificate=certificate)
+        with Camera(profile=own, max_retries=0) as camera:  # a line is used once
             paired = camera.receivers.claim(asked.secret.hex(), label, key.public)
-        made = Profile(url, paired.token, certificate=certificate, device=paired.device)
-        default = save(made)
+        default = save(replace(own, token=paired.token, device=paired.device))
     return Pairing(name, default, paired.role, asked.place, paired.device, key.public.id)
 
 

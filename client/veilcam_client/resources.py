@@ -200,7 +200,7 @@ class ReceiverResource(Resource):
             timeout: time-out of the call in all [s].
         """
         asked = model(PairingClaim, {"secret": secret, "label": label, "key": str(key)})
-        call = Call("POST", "/v1/pairing/claim", Paired, asked, once=True)
+        call = Call("POST", "/v1/pairing/claim", Paired, asked)
         return self._transport.send(call, timeout)
 
 

@@ -8,14 +8,14 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
-from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
+from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
 from veilcam_server.system.state_file import (
     Report,
@@ -58,7 +58,9 @@ class Caller:
         """Raise :class:`ProblemError` unless the caller has this scope."""
         if not self.may(scope):
             raise ProblemError(
-                "forbidden", f"this token lacks the scope {scope}: ask for one that has it"
+                "forbidden",
+                f"this token lacks the scope {scope}: ask for one of the role "
+                f"{next(role for role, its in ROLES.items() if scope in its)}",
             )
 
 
@@ -89,6 +91,7 @@ class _Row(BaseModel):
         return Token(
             id=self.id,
             label=self.label,
+            role=role_of(self.scopes),
             scopes=self.scopes,
             created_at=_datetime(self.created),
             expires_at=None if self.expires is None else _datetime(self.expires),
@@ -168,6 +171,34 @@ class TokenStore:
         Raises:
             StorageError: it cannot be written.
         """
+        return self._create(label, scopes, lifetime)
+
+    def first_owner(self, label: str) -> NewToken:
+        """Make the token of an owner, which nobody has.
+
+        Raises:
+            ProblemError: a valid token has all scopes.
+            StorageError: it cannot be written.
+        """
+
+        def require_none(rows: Iterable[_Row], now: float) -> None:
+            for row in rows:
+                if now < row.ended and set(row.scopes) >= set(ROLES["owner"]):
+                    raise ProblemError(
+                        "conflict",
+                        f"token {row.id} ({row.label}) is an owner's: make more with 'veilcamd "
+                        f"token create --role owner --label NAME', or revoke it if it is lost",
+                    )
+
+        return self._create(label, ROLES["owner"], None, require_none)
+
+    def _create(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None,
+        check: Callable[[Iterable[_Row], float], None] = lambda *_: None,
+    ) -> NewToken:
         now, secret = self.now(), secrets.token_hex(32)
         row = _Row(
             id=secrets.token_hex(6),
@@ -177,7 +208,12 @@ class TokenStore:
             expires=None if lifetime is None else now + lifetime,
             digest=_digest(secret),
         )
-        self._change(lambda held: _advanced(held, now, {**_current(held, now), row.id: row}))
+
+        def add(held: _Tokens) -> _Tokens:
+            check(held.tokens, now)
+            return _advanced(held, now, {**_current(held, now), row.id: row})
+
+        self._change(add)
         return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
 
     def tokens(self) -> tuple[Token, ...]:
