@@ -8,7 +8,7 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -171,6 +171,34 @@ class TokenStore:
         Raises:
             StorageError: it cannot be written.
         """
+        return self._create(label, scopes, lifetime)
+
+    def first_owner(self, label: str) -> NewToken:
+        """Make the token of an owner, which nobody has.
+
+        Raises:
+            ProblemError: a valid token has all scopes.
+            StorageError: it cannot be written.
+        """
+
+        def require_none(rows: Iterable[_Row], now: float) -> None:
+            for row in rows:
+                if now < row.ended and set(row.scopes) >= set(ROLES["owner"]):
+                    raise ProblemError(
+                        "conflict",
+                        f"token {row.id} ({row.label}) is an owner's: make more with 'veilcamd "
+                        f"token create --role owner --label NAME', or revoke it if it is lost",
+                    )
+
+        return self._create(label, ROLES["owner"], None, require_none)
+
+    def _create(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None,
+        check: Callable[[Iterable[_Row], float], None] = lambda *_: None,
+    ) -> NewToken:
         now, secret = self.now(), secrets.token_hex(32)
         row = _Row(
             id=secrets.token_hex(6),
@@ -180,7 +208,12 @@ class TokenStore:
             expires=None if lifetime is None else now + lifetime,
             digest=_digest(secret),
         )
-        self._change(lambda held: _advanced(held, now, {**_current(held, now), row.id: row}))
+
+        def add(held: _Tokens) -> _Tokens:
+            check(held.tokens, now)
+            return _advanced(held, now, {**_current(held, now), row.id: row})
+
+        self._change(add)
         return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
 
     def tokens(self) -> tuple[Token, ...]:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
-from veilcam_server.system.state_file import StateStore
+from veilcam_server.system.state_file import HeldDirectory, StateStore
 from veilcam_server.system.systemd import take_sockets
 
 BACKLOG = 2048
@@ -202,6 +202,21 @@ class Listening(BaseModel):
 def listening_record(directory: Path) -> StateStore[Listening]:
     """Return the store of the record, in a daemon's state directory."""
     return StateStore(directory / "listening.json", Listening, lost="restart the daemon")
+
+
+def running_daemon(directory: Path) -> Listening:
+    """Return where the daemon of a state directory listens.
+
+    Raises:
+        StartError: no daemon runs, or it does not listen yet.
+    """
+    record = listening_record(directory).read() if directory.is_dir() else None
+    if record is not None:
+        try:
+            HeldDirectory(directory).close()
+        except StartError:
+            return record
+    raise StartError(f"no daemon runs in {directory}: start it, or name its --state-dir")
 
 
 def certificate_digest(path: Path | None) -> bytes | None:
