@@ -21,6 +21,7 @@ from veilcam_server.cli.terminal import (
     fail,
     one_line,
 )
+from veilcam_server.environment import default_state_dir
 
 if TYPE_CHECKING:
     from veilcam_server.security.tokens import TokenStore
@@ -77,6 +78,9 @@ def first(*, state_dir: StateDirOption = None, json: JsonOption = False) -> None
             "with 'veilcamd token create --role owner --label NAME'",
             USAGE,
         )
+    directory = state_dir or default_state_dir()
+    if not directory.exists():
+        fail(f"there is no {directory}: start the daemon first, or give its --state-dir")
     with _store(state_dir) as (store, note):
         made = store.first_owner("first owner")
         note("token first", made)

@@ -145,7 +145,7 @@ class TokenStore:
         self._file = StateStore(
             directory / "tokens.json",
             _Tokens,
-            lost="nobody is let in until a token is made with 'veilcamd token create'",
+            lost="nobody is let in until 'veilcamd token first' makes a token",
             report=report,
         )
         self._version = self._file.version

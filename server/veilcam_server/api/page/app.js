@@ -226,7 +226,7 @@ function showLogIn(reason = "") {
         field(
           "Token",
           token,
-          "The command “veilcamd token create” makes one. It is not kept in this browser.",
+          "On the camera, “sudo veilcamd token first” makes the first. It is not kept in this browser.",
         ),
         h("button", { type: "submit" }, "Log in"),
       ),
