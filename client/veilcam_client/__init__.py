@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from veilcam_client.http.streams import EventStream
     from veilcam_client.keys.log import verify_log
     from veilcam_client.log_file import fetch_log
-    from veilcam_client.pairing import Pairing, pair
     from veilcam_client.recording import Recording, read_recording, record
 
     __version__: str
@@ -49,8 +48,6 @@ _OWNERS = {
     "EventStream": "http.streams",
     "fetch_log": "log_file",
     "verify_log": "keys.log",
-    "Pairing": "pairing",
-    "pair": "pairing",
     "Recording": "recording",
     "read_recording": "recording",
     "record": "recording",
@@ -65,7 +62,6 @@ __all__ = [
     "Camera",
     "EventStream",
     "FoundCamera",
-    "Pairing",
     "RawResponse",
     "Recording",
     "SceneDecoder",
@@ -79,7 +75,6 @@ __all__ = [
     "held_before",
     "labelled_pictures",
     "models",
-    "pair",
     "read_recording",
     "record",
     "verify_log",

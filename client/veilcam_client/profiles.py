@@ -8,7 +8,7 @@ import re
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -173,76 +173,71 @@ def _read(path: Path) -> tuple[str, _File]:
 def new_profile(
     wanted: str, key: ReceiverKey, *, exact: bool
 ) -> Iterator[tuple[str, Callable[[Profile], bool]]]:
-    """Make a profile, which changes none that is there; where the body fails, nothing is left.
+    """Make a profile beside those that are there; where the body fails, nothing is left of it.
 
-    All files are the user's alone, and the key's is on the disk before the body begins. The profile
-    is the default from now on where there is none, or where that is of the same camera.
+    All files are the user's alone. The key's is on the disk before the body begins.
 
     Args:
         wanted: name of the profile.
         key: private key of the receiver.
-        exact: False: where there is a profile of this name, ``-2``, ``-3``, ... is put behind it.
+        exact: False: a name that is taken gets ``-2``, ``-3``, ... behind it.
 
     Yields:
-        Name of the profile, and what saves it and returns whether it is the default.
+        Name of the profile, and what saves it. That returns whether it is the default, which it
+        becomes where there is none, or where that is of the same camera.
 
     Raises:
-        ArgumentError: a name that cannot be, or that is there; the file cannot be used.
+        ArgumentError: a name that cannot be, or is taken; or the file cannot be used.
         FileError: a file cannot be written.
     """
-    path = profiles_path().resolve()
+    path = profiles_path()
     folder, known = path.parent, _read(path)[1].profiles if path.exists() else {}
     if re.fullmatch(_NAME, wanted) is None:
         raise ArgumentError(f"{wanted!r} is no name of a profile: use letters, digits, _ and -")
     if exact and wanted in known:
         raise ArgumentError(f"{path} has a profile {wanted!r} already: give another name")
-    number, name = 1, wanted
-    while name in known or (folder / f"{name}.key").exists():
+    name, number = wanted, 1
+    while not exact and (name in known or (folder / f"{name}.key").exists()):
         name = f"{wanted}-{(number := number + 1)}"
-    token_file = folder / f"{name}.token"
+    key_file, token_file = folder / f"{name}.key", folder / f"{name}.token"
 
     def save(made: Profile) -> bool:
-        entry = {"url": made.url, "certificate": made.certificate, "device": made.device}
-        entry["key"] = f"{name}.key"
-        if made.token is not None:
+        rows = {"url": made.url, "certificate": made.certificate, "device": made.device}
+        rows |= {"key": key_file.name, "token_file": made.token and token_file.name}
+        if made.token:
             undo.callback(token_file.unlink, missing_ok=True)
             _write(token_file, f"{made.token}\n")
-            entry["token_file"] = token_file.name
-        return _append(path, name, {of: value for of, value in entry.items() if value is not None})
+        return _append(path, name, {of: value for of, value in rows.items() if value})
 
     try:
         with ExitStack() as undo:
-            undo.callback(_remove_empty, folder)
+            if not folder.exists():
+                undo.callback(folder.rmdir)
             folder.mkdir(parents=True, exist_ok=True)
             folder.chmod(0o700)
-            key.write(folder / f"{name}.key")
-            undo.callback((folder / f"{name}.key").unlink, missing_ok=True)
+            key.write(key_file)
+            undo.callback(key_file.unlink)
             yield name, save
             undo.pop_all()
     except OSError as error:
         raise FileError(f"{folder} cannot be written ({error.strerror}): check it") from None
 
 
-def _append(path: Path, name: str, entry: Mapping[str, str]) -> bool:
+def _append(path: Path, name: str, rows: Mapping[str, str]) -> bool:
     """Write the file with one profile more; return whether that is the default."""
     text, kept = _read(path) if path.exists() else ("", _File())
     before = kept.profiles.get(kept.default or "")
-    first = kept.default is None or (before is not None and before.device == entry.get("device"))
+    first = kept.default is None or (before is not None and before.device == rows.get("device"))
     if first:
-        text = re.sub(r"(?m)^default[ \t]*=.*\n?", "", text, count=int(kept.default is not None))
-        text = f'default = "{name}"\n{text}'
-    rows = [f"{of} = {json.dumps(value, ensure_ascii=False)}" for of, value in entry.items()]
-    text = "\n".join([text.rstrip("\n"), "", f"[profiles.{name}]", *rows, ""]).lstrip("\n")
-    meant = _File(
-        default=name if first else kept.default,
-        profiles={**kept.profiles, name: _Entry.model_validate(entry)},
-    )
+        rest = re.sub(r"(?m)^default\b.*\n?", "", text, count=1) if kept.default else text
+        text = f'default = "{name}"\n{rest}'
+    made = [f"{of} = {json.dumps(value, ensure_ascii=False)}" for of, value in rows.items()]
+    text = "\n".join([text.rstrip("\n"), "", f"[profiles.{name}]", *made, ""]).lstrip("\n")
     try:
-        if _File.model_validate(tomllib.loads(text)) != meant:
-            raise ValueError
-    except ValueError:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
         raise FileError(f"{path} is written in a way that no profile can be added to") from None
-    _write(path, text)
+    _write(path.resolve(), text)  # a link stays one
     return first
 
 
@@ -255,11 +250,6 @@ def _write(path: Path, text: str) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
+    except OSError:
+        Path(name).unlink()
         raise
-
-
-def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):
-        folder.rmdir()

@@ -191,7 +191,7 @@ class ReceiverResource(Resource):
     def claim(
         self, secret: str, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
     ) -> Paired:
-        """Pair a receiver by the secret of an offer; ``veilcam_client.pair`` does all of it.
+        """Pair a receiver by the secret of an offer; ``veilcam pair`` does all of it.
 
         Args:
             secret: secret of the offer's line, 32 hexadecimal digits.

@@ -1,13 +1,16 @@
-"""``veilcam pair``: from the line that a camera shows to the first array."""
+"""``veilcam pair``: from the line that a camera shows to a profile that has all of it."""
 
 from __future__ import annotations
 
+import platform
+import re
 import sys
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
+from veilcam_client.camera import Camera
 from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
@@ -19,27 +22,29 @@ from veilcam_client.cli.terminal import (
     tell,
 )
 from veilcam_client.cli.token_words import ROLE_HELP
+from veilcam_client.profiles import Profile, new_profile
+from veilcam_client.wire.pairing import PairingLine
 
 
-def pair_command(
+def pair(
     line: Annotated[
         str | None,
         typer.Argument(
             metavar="[LINE]",
             help="Line that 'veilcamd pair' or the camera's page shows, between quotes; - reads it "
-            "from the standard input, so that no other user and no history sees it. None: the "
-            "camera is asked for one, with an owner's token where it wants tokens.",
+            "from the standard input, where no history keeps it. Without LINE the camera is asked "
+            "for one, with an owner's token if it wants tokens.",
         ),
     ] = None,
     *,
     profile: Annotated[
-        str | None, typer.Option(help="New name of the profile; the camera's host by default.")
+        str | None, typer.Option(help="New name of the profile; the camera's host otherwise.")
     ] = None,
     label: Annotated[
-        str | None, typer.Option(help="Label of this receiver; the machine's name by default.")
+        str | None, typer.Option(help="Label of this receiver; this machine's name otherwise.")
     ] = None,
     role: Annotated[
-        str | None, typer.Option(help=f"{ROLE_HELP} Without LINE; operator by default.")
+        str | None, typer.Option(help=f"{ROLE_HELP} Without LINE; operator otherwise.")
     ] = None,
     url: UrlOption = None,
     token_file: TokenFileOption = None,
@@ -47,35 +52,45 @@ def pair_command(
 ) -> None:
     """Pair this user with a camera: then 'veilcam capture' and Camera() open its embeddings.
 
-    Key, token and the camera's certificate are kept in a profile beside veilcam/config.toml, which
-    this user alone may read. The certificate is compared before anything is sent.
+    Key, token and certificate are kept in a profile beside veilcam/config.toml, which this user
+    alone may read. The certificate is compared before anything is sent.
     """
-    from veilcam_client.camera import Camera  # noqa: PLC0415 - late, as the next
-    from veilcam_client.pairing import pair  # noqa: PLC0415
+    # Late: no other command needs it.
+    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
 
     if line is not None and (role, url, token_file) != (None, None, None):
         fail("--role, --url and --token-file go without LINE", USAGE)
     with errors():
         if line is None:
-            asked = camera_of(url, None, token_file)
-            with Camera(profile=asked) as camera:
-                offered = camera.receivers.offer(role or "operator")  # type: ignore[arg-type]
-            made = pair(offered.line, profile=profile, label=label, url=asked.url)
-        else:
-            text = sys.stdin.readline() if line == "-" else line
-            made = pair(text, profile=profile, label=label)
-    named = "" if made.default else f" --profile {made.profile}"
-    camera_call = f"Camera({'' if made.default else f'profile={made.profile!r}'})"
-    does, python = (
-        ("classify", "classify().label")
-        if made.role == "viewer"
-        else ("capture", "capture().embedding")
-    )
+            with Camera(profile=camera_of(url, None, token_file)) as camera:
+                line = camera.receivers.offer(role or "operator").line  # type: ignore[arg-type]
+        asked = PairingLine.parse(sys.stdin.readline() if line == "-" else line)
+        # Nothing of another camera: the line alone says whom to trust.
+        certificate = None if asked.certificate is None else asked.certificate.hex()
+        own, key = Profile(asked.url, certificate=certificate), ReceiverKey.generate()
+        label = label or re.sub(r"[^ -~]", "", platform.node())[:64] or "receiver"
+        with (
+            new_profile(profile or _name(asked), key, exact=profile is not None) as (name, save),
+            Camera(profile=own, max_retries=0) as camera,  # a line is used once
+        ):
+            paired = camera.receivers.claim(asked.secret.hex(), label, key.public)
+            default = save(replace(own, token=paired.token, device=paired.device))
+    found = {"profile": name, "default": default, "device": paired.device, "role": paired.role}
+    does = "classify" if paired.role == "viewer" else "capture"
     words = [
-        f"paired with {made.camera}, as {made.role}",
-        f"profile   {made.profile}{', the default' if made.default else ''}",
-        f"next      veilcam {does}{named}",
-        "or        from veilcam_client import Camera",
-        f"          {camera_call}.{python}",
+        f"paired with {asked.place} as {paired.role}",
+        f"profile: {name}{', the default' if default else ''}",
+        f"next:    veilcam {does}{'' if default else f' --profile {name}'}",
+        "or:      from veilcam_client import Camera",
+        f"         Camera({'' if default else f'profile={name!r}'}).{does}()",
     ]
-    tell(asdict(made), "\n".join(words), json=json)
+    tell({**found, "receiver": key.public.id}, "\n".join(words), json=json)
+
+
+def _name(line: PairingLine) -> str:
+    """Return a name for the camera of a line: the first word of its host."""
+    if line.certificate is None:
+        return "local"
+    host = line.place.rpartition(":")[0].strip("[]")
+    word = host if re.fullmatch(r"[0-9.]+|.*:.*", host) else host.partition(".")[0]
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", word)[:32]

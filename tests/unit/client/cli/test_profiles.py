@@ -10,7 +10,7 @@ from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-from veilcam_client.cli.profiles import profiles_path
+from veilcam_client.profiles import profiles_path
 
 runner = CliRunner()
 
