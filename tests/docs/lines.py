@@ -69,11 +69,13 @@ class Desk:
     Attributes:
         folder: working folder, which exists.
         url: URL of the camera that the page means; it is told until a profile is there.
+        state: name of the state directory of the daemon that is meant.
         environment: more variables of the environment.
     """
 
     folder: Path
     url: str | None = None
+    state: str = "state"
     environment: dict[str, str] = field(default_factory=dict)
     _said: dict[str, str] = field(default_factory=dict)
 
@@ -151,7 +153,7 @@ class Desk:
         own = {
             "HOME": str(home),
             "PATH": f"{programs}:{kept.get('PATH', '')}",
-            "VEILCAM_STATE_DIRECTORY": str(self.folder / "state"),
+            "VEILCAM_STATE_DIRECTORY": str(self.folder / self.state),
         }
         if self.url is not None and not (home / ".config" / "veilcam" / "config.toml").exists():
             own["VEILCAM_URL"] = self.url
