@@ -25,7 +25,7 @@ import ast
 import re
 import shlex
 from collections.abc import Iterator
-from itertools import dropwhile
+from itertools import dropwhile, pairwise
 from pathlib import Path
 from typing import Final
 
@@ -107,7 +107,7 @@ def _words(command: str) -> Iterator[str]:
     """Yield the command, options and files of a command line; an option's value is free."""
     words = [Path(each).name for each in shlex.split(command)]
     plain = [each for each in words if re.fullmatch(r"[a-z-]+", each) and each[0] != "-"]
-    value_of = {after: option for option, after in zip(words, words[1:], strict=False)}
+    value_of = {after: option for option, after in pairwise(words)}
     yield " ".join(each for each in plain if not value_of.get(each, "").startswith("-"))
     yield from (each for each in words if each.startswith("--") or re.search(r"\w\.\w", each))
 

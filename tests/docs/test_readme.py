@@ -42,7 +42,7 @@ def test_line_that_is_left_stands_in_readme() -> None:
 
 @pytest.mark.parametrize("line", [Line("false"), Line("raise SystemExit(3)", python=True)])
 def test_line_that_fails_is_an_error(tmp_path: Path, line: Line) -> None:
-    with pytest.raises(LineError, match="ends with [13]"):
+    with pytest.raises(LineError, match=r"ends with [13]"):
         Desk(tmp_path).run(line)
 
 
