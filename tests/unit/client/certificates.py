@@ -40,9 +40,7 @@ class Certificate:
             .not_valid_before(BEGIN)
             .not_valid_after(BEGIN + days * DAY)
             .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-            .add_extension(
-                x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False
-            )
+            .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
             .sign(key if signer is None else signer.key, hashes.SHA256())
         )
         return cls(certificate, key)

@@ -76,7 +76,9 @@ def test_camera_is_told_its_own_token(
 def test_token_of_a_profile_goes_to_no_other_camera() -> None:
     result = runner.invoke(app, ["status", "--profile", "hall", "--url", "http://127.0.0.1:2"])
     assert result.exit_code == 2
-    assert result.stderr == "veilcam: error: a url and a profile name two cameras: give one of them\n"
+    assert (
+        result.stderr == "veilcam: error: a url and a profile name two cameras: give one of them\n"
+    )
 
 
 @pytest.mark.parametrize(
