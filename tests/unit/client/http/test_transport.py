@@ -37,7 +37,7 @@ pytestmark = pytest.mark.anyio
 
 Ask = Callable[[Any], Any]
 AB = "ab" * 32
-LAMP = {"label": "a lamp", "role": None, "scopes": [], "seconds": None}
+LAMP: dict[str, Any] = {"label": "a lamp", "role": None, "scopes": [], "seconds": None}
 ROUTES: list[tuple[Ask, str, Any]] = [
     (lambda camera: camera.status(), "GET status", None),
     (lambda camera: camera.diagnostics(), "GET diagnostics", None),
