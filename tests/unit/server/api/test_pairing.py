@@ -207,7 +207,7 @@ async def test_offer_stays_open_where_its_claim_cannot_be_done(
         assert code(await claim(client, secret, key)) == (409, "conflict")
         with monkeypatch.context() as patch:
 
-            def full(*_: object) -> None:
+            def full(*_: object, **__: object) -> None:
                 raise StorageError("no space")
 
             patch.setattr(door.store, "create", full)
