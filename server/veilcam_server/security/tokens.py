@@ -160,18 +160,26 @@ class TokenStore:
         self._seen, self._since = held.seen, monotonic()
         self._note_from = -math.inf
 
-    def create(self, label: str, scopes: tuple[Scope, ...], lifetime: float | None) -> NewToken:
+    def create(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None = None,
+        *,
+        until: float | None = None,
+    ) -> NewToken:
         """Make a token.
 
         Args:
             label: label for people.
             scopes: scopes of the token.
             lifetime: lifetime [s], None for ever.
+            until: end, seconds since 1970, where no lifetime is given; None: never.
 
         Raises:
             StorageError: it cannot be written.
         """
-        return self._create(label, scopes, lifetime)
+        return self._create(label, scopes, until if lifetime is None else self.now() + lifetime)
 
     def first_owner(self, label: str) -> NewToken:
         """Make the token of an owner, which nobody has.
@@ -196,7 +204,7 @@ class TokenStore:
         self,
         label: str,
         scopes: tuple[Scope, ...],
-        lifetime: float | None,
+        expires: float | None,
         check: Callable[[Iterable[_Row], float], None] = lambda *_: None,
     ) -> NewToken:
         now, secret = self.now(), secrets.token_hex(32)
@@ -205,7 +213,7 @@ class TokenStore:
             label=label,
             scopes=tuple(sorted(set(scopes))),
             created=now,
-            expires=None if lifetime is None else now + lifetime,
+            expires=expires,
             digest=_digest(secret),
         )
 

@@ -219,26 +219,6 @@ def running_daemon(directory: Path) -> Listening:
     raise StartError(f"no daemon runs in {directory}: start it, or name its --state-dir")
 
 
-def certificate_digest(path: Path | None) -> bytes | None:
-    """Return the SHA-256 of a PEM file's first certificate; None: there is no file.
-
-    Raises:
-        StartError: the file cannot be used.
-    """
-    if path is None:
-        return None
-    # Late: it takes long to load, and most daemons serve plain HTTP.
-    from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
-    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415
-
-    try:
-        return load_pem_x509_certificates(path.read_bytes())[0].fingerprint(SHA256())
-    except (OSError, ValueError):
-        raise StartError(
-            f"--tls-certificate: {path} cannot be read as a certificate: check it"
-        ) from None
-
-
 def _own_address() -> str:
     """Return the address of this machine on the way to others; loopback where there is none."""
     for family, far in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
