@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, expect
-from tests.docs.lines import Desk, make_serve
-from tests.page.conftest import PATIENCE
+from tests.docs.lines import ROOT, Desk, Line, lines, make_serve
+from tests.page.conftest import PATIENCE, log_in
 
 pytestmark = pytest.mark.page
 
@@ -34,3 +34,18 @@ def test_a_label_changes_after_one_command_and_one_click(chromium: Browser, serv
     page.goto(f"{served}/docs")
     expect(page.locator("article")).not_to_have_count(0)
     context.close()
+
+
+def test_first_token_of_readme_opens_the_page(chromium: Browser, tmp_path: Path) -> None:
+    first = Line("sudo veilcamd token first")
+    assert first in lines((ROOT / "README.md").read_text())
+    desk = Desk(tmp_path)
+    context = chromium.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    with desk.serving(*make_serve(), "--auth", "tokens") as url:
+        desk.run(first)
+        page.goto(url)
+        log_in(page, desk.said("TOKEN"))
+        expect(page.locator("output.label:not(.none)")).to_be_visible()
+        context.close()
