@@ -43,7 +43,7 @@ MORE_KEYS: Figures = {
     ),
     "pairing_attacks_won": (
         "people",
-        "receivers paired, secrets told or roles gained by 1,180 attacks on pairing",
+        "receivers paired, secrets told or roles gained by 1,160 attacks on pairing",
         "{:.0f}",
     ),
     "prepare_sealed_ratio": ("keys", "preparing an epoch, over preparing its mask", "{:.2f} x"),
