@@ -9,12 +9,13 @@ claim that pairs a receiver where none should be paired is won. Each claim stand
 from __future__ import annotations
 
 import secrets
+import socket
 import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -24,10 +25,13 @@ from benchmarks.figures import FiguresOption, record
 from benchmarks.privacy.relay import certified
 from benchmarks.rig import prompt_daemon, work_folder
 
+from veilcam_client import Camera, VeilcamError
 from veilcam_client.keys.log import read_line
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.profiles import Profile
 from veilcam_client.wire.pairing import MOST_TRIES, OFFER_SECONDS, PairingLine
 from veilcam_client.wire.tokens import ROLES, Role, Scope
+from veilcam_server.daemon import certificate_digest
 from veilcam_server.security.log import FOLDER
 from veilcam_server.security.pairing import PairingOffers
 from veilcam_server.security.tokens import TokenStore
@@ -44,10 +48,11 @@ class Door:
         url: URL of the daemon.
         state: its state directory.
         client: client that trusts any certificate.
+        certificate: SHA-256 of the daemon's certificate, in hexadecimal digits.
     """
 
-    def __init__(self, url: str, state: Path, client: httpx.Client) -> None:
-        self.state, self._client = state, client
+    def __init__(self, url: str, state: Path, client: httpx.Client, certificate: str) -> None:
+        self.state, self._client, self.certificate = state, client, certificate
         self.place = url.partition("://")[2]
         self.tokens = TokenStore(state)
         self.owner = self.bearer(ROLES["owner"])
@@ -192,8 +197,51 @@ def escalation(door: Door, count: int) -> int:
     )
 
 
+class Impostor:
+    """A machine with another certificate in the camera's place, and what clients tell it.
+
+    Args:
+        folder: folder of its certificate.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        certificate, key = certified(folder)
+        self._context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        self._context.load_cert_chain(certificate, key)
+        self.certificate = certificate_digest(certificate).hex()
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"https://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def _hear(self) -> bytes:
+        """Take one connection, and return what it says once it is encrypted."""
+        one, _ = self._server.accept()
+        with one, suppress(OSError), self._context.wrap_socket(one, server_side=True) as talk:
+            talk.settimeout(10)
+            return talk.recv(65536)
+        return b""
+
+    def told(self, certificate: str, secret: bytes) -> bool:
+        """Return whether a client tells it anything that has a line with this certificate."""
+        with ThreadPoolExecutor(1) as pool, suppress(VeilcamError):
+            heard = pool.submit(self._hear)
+            with Camera(profile=Profile(self.url, certificate=certificate), max_retries=0) as one:
+                one.receivers.claim(secret.hex(), "deceived", KEY)
+        return heard.result() != b""
+
+
+def wrong_certificate(door: Door, count: int) -> int:
+    """Show a client whose line is the camera's another certificate."""
+    with work_folder() as folder:
+        impostor = Impostor(folder / "impostor")
+        if not impostor.told(impostor.certificate, bytes(16)):
+            raise typer.BadParameter("a line with its own certificate tells it nothing, either")
+        return sum(impostor.told(door.certificate, door.offer()) for _ in range(count))
+
+
 ATTACKS: Mapping[str, tuple[Callable[[Door, int], int], int]] = {
     "wrong line": (wrong_lines, 1000),
+    "wrong certificate": (wrong_certificate, 20),
     "second use": (second_use, 20),
     "expired": (expired, 20),
     "replaced": (replaced, 20),
@@ -216,7 +264,7 @@ def opened(folder: Path) -> Iterator[Door]:
         prompt_daemon(folder, "--auth", "tokens", *tls) as url,
         httpx.Client(base_url=url, verify=trust, timeout=60) as client,
     ):
-        yield Door(url, folder / "state", client)
+        yield Door(url, folder / "state", client, certificate_digest(certificate).hex())
 
 
 def main(

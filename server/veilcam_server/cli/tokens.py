@@ -12,7 +12,7 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.cli.token_words import ROLE_HELP, SCOPE_HELP, token_in_words, unknown_scopes
-from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
+from veilcam_client.wire.tokens import ROLES, Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import (
     USAGE,
     JsonOption,
@@ -82,7 +82,7 @@ def first(*, state_dir: StateDirOption = None, json: JsonOption = False) -> None
     if not directory.exists():
         fail(f"there is no {directory}: start the daemon first, or give its --state-dir")
     with _store(state_dir) as (store, note):
-        made = store.first_owner("first owner")
+        made = store.create("first owner", ROLES["owner"], first=True)
         note("token first", made)
     typer.echo(made.model_dump_json() if json else made.secret)
 

@@ -185,14 +185,11 @@ class PairingOffers:
 
     def _count(self, offer: _Offer) -> bool:
         """Count a wrong claim; return whether it ended the offer."""
-        self._tried, self._wrong = (
-            offer.digest,
-            1 if self._tried != offer.digest else self._wrong + 1,
-        )
-        if self._wrong < MOST_TRIES:
-            return False
-        self._ended = offer.digest
-        return True
+        self._tried, before = offer.digest, self._wrong if self._tried == offer.digest else 0
+        self._wrong = before + 1
+        if self._wrong == MOST_TRIES:
+            self._ended = offer.digest
+        return self._ended == offer.digest
 
 
 def qr_code(line: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -86,6 +86,11 @@ class _Row(BaseModel):
     def ended(self) -> float:
         """Since when it lets nobody in; inf while it may."""
         return min(time for time in (self.expires, self.revoked, float("inf")) if time is not None)
+
+    @property
+    def is_owner(self) -> bool:
+        """Return whether it has every scope."""
+        return set(self.scopes) >= set(ROLES["owner"])
 
     def public(self) -> Token:
         return Token(
@@ -167,6 +172,7 @@ class TokenStore:
         lifetime: float | None = None,
         *,
         until: float | None = None,
+        first: bool = False,
     ) -> NewToken:
         """Make a token.
 
@@ -175,50 +181,30 @@ class TokenStore:
             scopes: scopes of the token.
             lifetime: lifetime [s], None for ever.
             until: end, seconds since 1970, where no lifetime is given; None: never.
+            first: True: only where no valid token has all scopes.
 
         Raises:
+            ProblemError: there is an owner, and it was to be the first.
             StorageError: it cannot be written.
         """
-        return self._create(label, scopes, until if lifetime is None else self.now() + lifetime)
-
-    def first_owner(self, label: str) -> NewToken:
-        """Make the token of an owner, which nobody has.
-
-        Raises:
-            ProblemError: a valid token has all scopes.
-            StorageError: it cannot be written.
-        """
-
-        def require_none(rows: Iterable[_Row], now: float) -> None:
-            for row in rows:
-                if now < row.ended and set(row.scopes) >= set(ROLES["owner"]):
-                    raise ProblemError(
-                        "conflict",
-                        f"token {row.id} ({row.label}) is an owner's: make more with 'veilcamd "
-                        f"token create --role owner --label NAME', or revoke it if it is lost",
-                    )
-
-        return self._create(label, ROLES["owner"], None, require_none)
-
-    def _create(
-        self,
-        label: str,
-        scopes: tuple[Scope, ...],
-        expires: float | None,
-        check: Callable[[Iterable[_Row], float], None] = lambda *_: None,
-    ) -> NewToken:
         now, secret = self.now(), secrets.token_hex(32)
         row = _Row(
             id=secrets.token_hex(6),
             label=label,
             scopes=tuple(sorted(set(scopes))),
             created=now,
-            expires=expires,
+            expires=until if lifetime is None else now + lifetime,
             digest=_digest(secret),
         )
 
         def add(held: _Tokens) -> _Tokens:
-            check(held.tokens, now)
+            owners = (each for each in held.tokens if now < each.ended and each.is_owner)
+            if first and (owner := next(owners, None)) is not None:
+                raise ProblemError(
+                    "conflict",
+                    f"token {owner.id} ({owner.label}) is an owner's: make more with 'veilcamd "
+                    "token create --role owner --label NAME', or revoke it if it is lost",
+                )
             return _advanced(held, now, {**_current(held, now), row.id: row})
 
         self._change(add)
