@@ -132,7 +132,7 @@ class TokenResource(Resource):
         """Make a token of a role or of scopes; its ``secret`` is told this once.
 
         Args:
-            label: for whom or what it is; it stands in the log.
+            label: label for people; it stands in the log.
             scopes: scopes of the token; empty where a ``role`` is given.
             role: ``viewer``, ``operator`` or ``owner``; None where ``scopes`` are given.
             seconds: time that it is valid [s]; None: until it is revoked.
