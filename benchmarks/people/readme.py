@@ -11,9 +11,9 @@ earlier line printed, as the page says.
 
 `concepts_to_array` counts what a reader has to name between `make serve` and the first array,
 each thing once: commands with their subcommands, options, files, classes, and arguments by
-keyword. A reader can look none of them up on the screen. Not counted: the URL, which `make serve`
-prints; words that are free, as a label; and methods and attributes of the array's own line, without
-which no design does. README had seven: `veilcam receiver keygen`, `veilcam receiver add`,
+keyword. Not counted: the URL, which `make serve` prints; the folder of the programs, which is the
+same for all; words that are free, as a label; and methods and attributes of the array's own line,
+without which no design does. README had seven: `veilcam receiver keygen`, `veilcam receiver add`,
 `--label`, receiver.key, receiver.pub, `Camera` and `key=`.
 
 `tutorials_run` counts the tutorials whose test passed.
@@ -41,17 +41,17 @@ TUTORIALS = ROOT / "tests" / "docs" / "test_tutorials.py"
 SERVE: Final = "make serve"
 FIRST: Final = "sudo veilcamd token first"
 LEFT = {
-    "make demo": "fits its own test, tests/app/server/test_demo.py",
-    "make check": "runs tests; CI runs it",
-    "make test": "runs tests; CI runs it",
-    "make docs": "tests/docs/test_reference.py builds the site",
-    "make PYTHON=PATH": "tests/docs/test_makefile.py",
-    "pip install": "installs anew; python -m tests.system.clean_root does it in a root of its own",
-    "veilcamd demo --fresh": "tests/app/server/test_demo.py",
-    "veilcamd doctor": "finds faults on a machine that is no camera; tests/app/server/cli",
-    "veilcam-train attack report": "takes minutes; tests/app/training",
+    "make demo": "takes a minute: tests/app/server/demo/test_demo.py",
+    "make check": "runs the tests: .ci/run",
+    "make test": "runs the tests: .ci/run",
+    "make docs": "builds the site: tests/docs/test_reference.py",
+    "make PYTHON=PATH": "installs: tests/docs/test_makefile.py",
+    "pip install": "installs: tests/system/clean_root/__main__.py",
+    "veilcamd demo --fresh": "takes a minute: tests/app/server/demo/test_demo.py",
+    "veilcamd doctor": "wants a Raspberry Pi: tests/app/server/doctor/test_doctor.py",
+    "veilcam-train attack report": "takes minutes: tests/unit/training/cli/test_attack.py",
 }
-"""Lines that begin like these are left to their own tests, each with the reason."""
+"""Lines that begin like these are left to their own tests: the reason, and the test."""
 SPAN = re.compile(r"`((?:veilcam[a-z-]*|make|pip) [^`]+)`")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks.people.readme import LEFT, README, concepts, failures, spans, written
-from tests.docs.lines import Desk, Line, LineError, lines
+from tests.docs.lines import ROOT, Desk, Line, LineError, lines
 
 PAGE = README.read_text()
 
@@ -34,9 +34,11 @@ Camera("http://127.0.0.1:8787", key="receiver.key").capture().embedding
     assert len(concepts(before)) == 7
 
 
-def test_line_that_is_left_stands_in_readme() -> None:
+def test_line_that_is_left_stands_in_readme_and_has_a_test() -> None:
     found = [each.text for each in (*lines(PAGE), *spans(PAGE))]
-    assert all(any(text.startswith(left) for text in found) for left in LEFT)
+    for left, reason in LEFT.items():
+        assert any(text.startswith(left) for text in found), left
+        assert (ROOT / reason.split(": ")[1]).exists(), reason
     assert len(written(PAGE)) >= 10
 
 
