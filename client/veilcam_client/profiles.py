@@ -62,14 +62,6 @@ class _Entry(BaseModel):
     key: Path | None = None
     device: str | None = Field(default=None, pattern=_DIGEST)
 
-    def profile(self, folder: Path) -> Profile:
-        """Return the profile; raises ArgumentError for a token's file that cannot be used."""
-        token = None
-        if self.token_file is not None:
-            token = read_secret(folder / self.token_file, private=True)
-        authority, key = (each and folder / each for each in (self.ca_file, self.key))
-        return Profile(self.url, token, authority, self.certificate, key, self.device)
-
 
 class _File(BaseModel):
     """Contents of the file of profiles."""
@@ -139,7 +131,12 @@ def _named(name: str, path: Path) -> Profile:
     if name not in profiles:
         known = ", ".join(profiles) or "none"
         raise ArgumentError(f"{path} has no profile {name!r}: it has {known}")
-    return profiles[name].profile(path.parent)
+    one = profiles[name]
+    token, authority, key = (
+        each and path.parent / each for each in (one.token_file, one.ca_file, one.key)
+    )
+    secret = None if token is None else read_secret(token, private=True)
+    return Profile(one.url, secret, authority, one.certificate, key, one.device)
 
 
 def _default() -> Profile | None:

@@ -80,7 +80,7 @@ TokenFileOption = Annotated[
 TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
 KeyOption = Annotated[
     Path | None,
-    typer.Option(help="Private key of a receiver, which opens sealed embeddings; the profile's."),
+    typer.Option(help="Private key of a receiver, for sealed embeddings; that of the profile."),
 ]
 DeviceOption = Annotated[
     str | None,

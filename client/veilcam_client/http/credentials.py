@@ -70,8 +70,10 @@ class Credentials:
             raise ArgumentError("the token is not valid: it starts with vc_ and has no spaces")
 
     def require_safe(self, url: str) -> None:
-        """Raise ValueError if the token would go to another machine in the clear."""
+        """Raise ArgumentError if what is secret would go to another machine, or in the clear."""
         parts = urlsplit(url)
+        if self.certificate is not None and parts.scheme != "https":
+            raise ArgumentError(f"url = {masked(url)!r} shows no certificate: use https://")
         if self.token and parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
             raise ArgumentError(
                 f"url = {masked(url)!r} would send the token in the clear: use https://"

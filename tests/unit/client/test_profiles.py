@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_client import AsyncCamera, Camera
+from veilcam_client import AsyncCamera, Camera, VeilcamError
 from veilcam_client.errors import ArgumentError, FileError
 from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.keys.receivers import ReceiverKey
@@ -127,6 +127,18 @@ def test_new_profile_is_the_users_alone(settings: Path, receiver: ReceiverKey) -
     assert [file.name for file in files] == ["attic.key", "attic.token", "config.toml"]
     assert {file.stat().st_mode & 0o777 for file in files} == {0o600}
     assert "vc_attic" not in (settings / "config.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["attic.key", "attic.token"])
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+def test_secret_that_is_open_to_others_is_refused(
+    settings: Path, receiver: ReceiverKey, kind: type, name: str, mode: int
+) -> None:
+    add(receiver)
+    kind()
+    (settings / name).chmod(mode)
+    with pytest.raises(VeilcamError, match=rf"{name} is open to others: run chmod 600"):
+        kind()
 
 
 def test_new_profile_changes_no_other(folder: Path, receiver: ReceiverKey) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from tests.unit.client.certificates import Certificate, listening
-from tests.unit.client.conftest import Daemon, handler_of, result, serving
+from tests.unit.client.conftest import Daemon, camera_of, handler_of, result, serving
 
-from veilcam_client.errors import ConnectError
+from veilcam_client.errors import ArgumentError, ConnectError
 from veilcam_client.profiles import Profile
 
 pytestmark = pytest.mark.anyio
@@ -48,6 +48,18 @@ async def test_other_certificate_is_told_nothing(
             await result(camera.status())
         await result(camera.close())
     assert told == [b""]
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:1", "unix:///run/veilcam/api.sock"])
+async def test_camera_that_shows_no_certificate_is_no_pinned_one(url: str, kind: type) -> None:
+    with pytest.raises(ArgumentError, match="shows no certificate: use https"):
+        kind(profile=Profile(url, certificate="ab" * 32))
+
+
+async def test_client_of_the_caller_is_no_pinned_one(daemon: Daemon, kind: type) -> None:
+    own = Profile("https://camera.local", certificate="ab" * 32)
+    with pytest.raises(ArgumentError, match="http_client checks no certificate"):
+        camera_of(kind, daemon, profile=own)
 
 
 async def test_certificate_of_an_authority_is_no_pinned_one(
