@@ -1,10 +1,11 @@
 // The API as a page: the OpenAPI document of this daemon, one card for each subject.
 
 import { Problem, get } from "./api.js";
-import { card, h, say } from "./dom.js";
+import { card, fold, h, say } from "./dom.js";
 
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
+const side = document.getElementById("side");
 const METHODS = ["get", "put", "post", "delete"];
 
 // Only what this document has: code between backquotes, and plain text.
@@ -68,13 +69,21 @@ function problems(responses) {
 }
 
 function draw(found) {
-  const subjects = new Map(found.tags.map(({ name, description }) => [name, { description, operations: [] }]));
+  const subjects = new Map(found.tags.map(({ name, description }) => [name, { description, operations: [], links: [] }]));
   for (const [path, operations] of Object.entries(found.paths)) {
     for (const method of METHODS.filter((each) => each in operations)) {
-      const { tags } = operations[method];
-      subjects.get(tags[0]).operations.push(operation(method, path, operations[method]));
+      const { tags, operationId } = operations[method];
+      const subject = subjects.get(tags[0]);
+      subject.operations.push(operation(method, path, operations[method]));
+      subject.links.push([operationId, `${method.toUpperCase()} ${path}`]);
     }
   }
+  side.replaceChildren(
+    ...[...subjects].map(([name, { links }]) =>
+      fold(name, h("ul", {}, links.map(([id, text]) => h("li", {}, h("a", { href: `#${id}` }, text))))),
+    ),
+  );
+  side.hidden = false;
   main.replaceChildren(
     h("h1", {}, `The API, version ${found.info.version}`),
     ...[...subjects].map(([name, { description, operations }]) => {
@@ -83,6 +92,7 @@ function draw(found) {
       return made;
     }),
   );
+  document.getElementById(location.hash.slice(1))?.scrollIntoView();
 }
 
 async function open() {

@@ -18,8 +18,10 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+let cards = 0;
+
 export function card(title, ...children) {
-  const id = `card-${title.toLowerCase().replaceAll(/[^a-z]+/g, "-")}`;
+  const id = `card-${(cards += 1)}`;
   return h("section", { class: "card", "aria-labelledby": id }, h("h2", { id }, title), ...children);
 }
 
@@ -83,6 +85,24 @@ export function field(label, input, note = null) {
   if (told) input.setAttribute("aria-describedby", told.id);
   return h("div", { class: "field" }, h("label", { for: input.id }, label), input, told);
 }
+
+// A secret that is shown once, with a button that copies it.
+export function secretLine(text, words) {
+  const line = h("code", {}, text);
+  const told = h("p", { class: "note", role: "status" });
+  const copy = button("Copy", async () => {
+    // Browsers let pages that came by plain HTTP from another machine copy nothing by themselves.
+    if (navigator.clipboard) await navigator.clipboard.writeText(text);
+    else getSelection().selectAllChildren(line);
+    say(told, navigator.clipboard ? "Copied." : "It is selected: copy it with the keyboard.");
+  });
+  return { elements: [h("p", {}, words), h("p", { class: "secret" }, line), told], copy };
+}
+
+export const facts = (pairs) =>
+  h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
+
+export const fold = (title, ...children) => h("details", {}, h("summary", {}, title), ...children);
 
 // Asks before what cannot be taken back.
 export function confirmed(question, yes) {
