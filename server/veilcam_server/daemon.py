@@ -22,16 +22,24 @@ from veilcam_server.errors import (
     BundleRefusedError,
     RotationImpossibleError,
     StartError,
+    StorageError,
 )
 from veilcam_server.gate.protocol import Connections
 from veilcam_server.gate.server import GateServer
 from veilcam_server.security.admission import open_admission
+from veilcam_server.security.pairing import PairingOffers
 from veilcam_server.service.replay import replayed_camera
 from veilcam_server.service.served_camera import ServedCamera
 from veilcam_server.service.service import Service
 from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
-from veilcam_server.system.listeners import Listener, open_listeners, room_for
+from veilcam_server.system.listeners import (
+    Listener,
+    Listening,
+    listening_record,
+    open_listeners,
+    room_for,
+)
 from veilcam_server.system.memory import forbid_core_files, no_garbage
 from veilcam_server.system.systemd import notify
 from veilcam_training.bundle import BundleError
@@ -186,6 +194,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
+            _record(settings, urls, admission.offers)
             server = _Server(config, connections, service, listening)
             log.info(
                 "start",
@@ -198,6 +207,21 @@ def _serve(
             server.run([listener.socket for listener in listeners])
     finally:
         service.stop()
+
+
+def _record(settings: Settings, urls: list[str], offers: PairingOffers | None) -> None:
+    """Record where the daemon listens; a disk that refuses it ends nothing."""
+    certificate = None if offers is None else offers.certificate
+    record = Listening(
+        urls=tuple(urls),
+        hosts=settings.hosts,
+        certificate=None if certificate is None else certificate.hex(),
+        pairs=offers is not None,
+    )
+    try:
+        listening_record(settings.state_dir).change(lambda _: record)
+    except StorageError as error:
+        log.warning("'veilcamd pair' does not find this daemon", reason=str(error))
 
 
 def _exit(*_: object) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
-from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
+from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
 from veilcam_server.system.state_file import (
     Report,
@@ -58,7 +58,9 @@ class Caller:
         """Raise :class:`ProblemError` unless the caller has this scope."""
         if not self.may(scope):
             raise ProblemError(
-                "forbidden", f"this token lacks the scope {scope}: ask for one that has it"
+                "forbidden",
+                f"this token lacks the scope {scope}: ask for one of the role "
+                f"{next(role for role, its in ROLES.items() if scope in its)}",
             )
 
 
@@ -89,6 +91,7 @@ class _Row(BaseModel):
         return Token(
             id=self.id,
             label=self.label,
+            role=role_of(self.scopes),
             scopes=self.scopes,
             created_at=_datetime(self.created),
             expires_at=None if self.expires is None else _datetime(self.expires),
