@@ -229,11 +229,7 @@ function showLogIn(reason = "") {
   document.title = `Log in: ${PLACE}, Veilcam`;
   warn("");
   const token = h("input", {
-    name: "token",
-    type: "password",
-    autocomplete: "current-password",
-    required: true,
-    spellcheck: "false",
+    name: "token", type: "password", autocomplete: "current-password", required: true, spellcheck: "false",
   });
   main.replaceChildren(
     h("h1", {}, "Log in"),

@@ -22,7 +22,7 @@ function contents({ bundle, size, configured }) {
       ["Came", configured ? "with the start of the daemon" : "by upload"],
     ]),
     fold("What its masks give away", h("ul", { class: "findings" }, hides.map((text) => h("li", {}, h("span", {}, text))))),
-    fold("Privacy card", cardResult(bundle.card, label)),
+    fold(`Privacy card: ${bundle.card?.outcome ?? "none"}`, cardResult(bundle.card, label)),
   ];
 }
 
@@ -75,7 +75,10 @@ export function bundlesView(camera) {
       await load();
     }, { plain: true, "aria-label": `Remove ${named(each)}` });
     const use = button("Activate", () => activate(each), { "aria-label": `Activate ${named(each)}` });
-    return card(named(each), contents(each), h("p", { class: "row" }, each.bundle ? use : null, each.configured ? null : drop));
+    const read = contents(each);
+    // What is not in use yet is to be read before it is.
+    for (const part of read) if (part.matches("details")) part.open = true;
+    return card(named(each), read, h("p", { class: "row" }, each.bundle ? use : null, each.configured ? null : drop));
   }
 
   const send = form(

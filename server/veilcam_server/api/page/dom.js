@@ -104,6 +104,23 @@ export const facts = (pairs) =>
 
 export const fold = (title, ...children) => h("details", {}, h("summary", {}, title), ...children);
 
+// A choice among few, of value, text and note: buttons, so that Tab and Space are all that it takes.
+export function pick(legend, name, chosen, options, changed = () => {}) {
+  const input = h("input", { type: "hidden", name, value: chosen });
+  const buttons = options.map(([value, text]) =>
+    h("button", { type: "button", class: "plain", "aria-pressed": String(value === chosen), onclick: press(value) }, text),
+  );
+  function press(value) {
+    return ({ currentTarget }) => {
+      input.value = value;
+      for (const each of buttons) each.setAttribute("aria-pressed", each === currentTarget);
+      changed(value);
+    };
+  }
+  const rows = options.map(([, , note], index) => h("div", { class: "pick" }, buttons[index], note && h("span", { class: "note" }, note)));
+  return h("fieldset", {}, h("legend", {}, legend), input, rows);
+}
+
 // Asks before what cannot be taken back.
 export function confirmed(question, yes) {
   return new Promise((resolve) => {
@@ -115,11 +132,7 @@ export function confirmed(question, yes) {
         "p",
         { class: "row" },
         h("button", { type: "button", onclick: () => dialog.close("yes") }, yes),
-        h(
-          "button",
-          { type: "button", class: "plain", autofocus: true, onclick: () => dialog.close("") },
-          "Cancel",
-        ),
+        h("button", { type: "button", class: "plain", autofocus: true, onclick: () => dialog.close("") }, "Cancel"),
       ),
     );
     dialog.addEventListener("close", () => {

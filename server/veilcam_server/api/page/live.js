@@ -1,7 +1,7 @@
 // Live: what the camera sees, the mask, the embedding, and on a simulator the scene.
 
 import { post, put } from "./api.js";
-import { button, card, columns, empty, facts, field, fold, form, h, say } from "./dom.js";
+import { button, card, columns, empty, facts, field, fold, form, h, pick, say } from "./dom.js";
 import { pictureOf } from "./embedding.js";
 import { historyCard } from "./history.js";
 import { sceneCards } from "./scene.js";
@@ -70,7 +70,7 @@ function labelCard(camera) {
     const found = memory.rate();
     say(rate, found === null ? "–" : found.toFixed(found < 1 ? 2 : 1));
     say(last, memory.lookedAt ? `${duration((performance.now() - memory.lookedAt) / 1000)} ago` : "–");
-    say(captures, `${status.captures + looks}${looks ? `, ${looks} by itself` : ""}`);
+    say(captures, `${status.captures + looks}${looks ? ` (${looks} by itself)` : ""}`);
   }
 
   function told() {
@@ -89,7 +89,7 @@ function labelCard(camera) {
       h("div", { class: "seen" }, label, since),
       camera.may("classify") ? h("p", { class: "row" }, look) : null,
       how,
-      facts([["Looks a second, last minute", rate], ["Last look", last], ["Captures since the start", captures]]),
+      facts([["Looks a second, last minute", rate], ["Last look", last], ["Captures in total", captures]]),
       camera.may("mask:rotate") && camera.watch ? watchForm(camera) : null,
     ),
     update: draw,
@@ -99,23 +99,8 @@ function labelCard(camera) {
 
 function watchForm(camera) {
   const { policy } = camera.watch;
-  const mode = h(
-    "select",
-    { name: "mode" },
-    [
-      ["watching", "by itself"],
-      ["on_request", "when it is asked"],
-      ["off", "not at all: the panel is opaque"],
-    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
-  );
   const rate = h("input", {
-    name: "rate",
-    type: "number",
-    min: "0.001",
-    max: "10",
-    step: "any",
-    required: true,
-    value: String(policy.rate_hz ?? 2),
+    name: "rate", type: "number", min: "0.001", max: "10", step: "any", required: true, value: String(policy.rate_hz ?? 2),
   });
   const [begin, end] = ["begin", "end"].map((name) =>
     h("input", { name, type: "time", value: policy.quiet?.[name] ?? "" }),
@@ -127,13 +112,13 @@ function watchForm(camera) {
     h("legend", {}, "Quiet hours, with an opaque panel"),
     h("div", { class: "row" }, field("From", begin), field("To", end)),
   );
-  const adapt = () => {
-    rateField.hidden = mode.value !== "watching";
+  const adapt = (mode) => {
+    rateField.hidden = mode !== "watching";
     rate.disabled = rateField.hidden;
-    quiet.hidden = mode.value === "off";
+    quiet.hidden = mode === "off";
   };
-  mode.addEventListener("change", adapt);
-  adapt();
+  adapt(policy.mode);
+  const options = [["watching", "By itself"], ["on_request", "When asked"], ["off", "Not at all", "The panel is opaque."]];
   return fold(
     "When it looks",
     form(
@@ -149,7 +134,7 @@ function watchForm(camera) {
         });
         await camera.refresh();
       },
-      field("It looks", mode),
+      pick("It looks", "mode", policy.mode, options, adapt),
       rateField,
       quiet,
       h("button", { type: "submit", class: "plain" }, "Apply"),
@@ -198,32 +183,18 @@ function maskCard(camera) {
 
 function policyForm(camera) {
   const { policy } = camera.status.rotation;
-  const mode = h(
-    "select",
-    { name: "mode" },
-    [
-      ["captures", "after so many captures"],
-      ["seconds", "every so many seconds"],
-      ["off", "by hand alone"],
-    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
-  );
   const count = h("input", {
-    name: "count",
-    type: "number",
-    min: "1",
-    max: "86400",
-    required: true,
-    value: String(policy.captures ?? policy.seconds ?? 10),
+    name: "count", type: "number", min: "1", max: "86400", required: true, value: String(policy.captures ?? policy.seconds ?? 10),
   });
   const told = h("p", { class: "note", role: "status" });
   const amount = field("How many", count);
-  const adapt = () => {
-    amount.hidden = mode.value === "off";
-    count.disabled = mode.value === "off";
-    count.step = mode.value === "seconds" ? "any" : "1";
+  const adapt = (mode) => {
+    amount.hidden = mode === "off";
+    count.disabled = amount.hidden;
+    count.step = mode === "seconds" ? "any" : "1";
   };
-  mode.addEventListener("change", adapt);
-  adapt();
+  adapt(policy.mode);
+  const options = [["captures", "After so many captures"], ["seconds", "Every so many seconds"], ["off", "By hand alone"]];
   return fold(
     "When masks change",
     form(
@@ -235,7 +206,7 @@ function policyForm(camera) {
         say(told, `From now on: ${policyText(rotation.policy)}.`);
         await camera.refresh();
       },
-      field("Masks change", mode),
+      pick("Masks change", "mode", policy.mode, options, adapt),
       amount,
       h("button", { type: "submit", class: "plain" }, "Apply"),
       told,

@@ -1,7 +1,7 @@
 // Receivers: to whom embeddings are sealed, and the line that pairs one more.
 
 import { get, remove, timed } from "./api.js";
-import { button, card, columns, confirmed, empty, field, form, h, say, secretLine } from "./dom.js";
+import { button, card, columns, confirmed, empty, form, h, pick, say, secretLine } from "./dom.js";
 import { RELEASES, ROLES, day, duration } from "./words.js";
 
 // White modules around a QR code, as its standard asks for.
@@ -71,10 +71,6 @@ export function receiversView(camera) {
     if (ticks % 2 === 0) load().catch(() => {});
   }
 
-  const role = h("select", { name: "role" }, Object.keys(ROLES).map((each) => h("option", { value: each, selected: each === "operator" }, each)));
-  const sentence = h("p", { class: "note" });
-  role.addEventListener("change", () => say(sentence, ROLES[role.value]));
-  say(sentence, ROLES.operator);
   const pair = form(
     {},
     async (values) => {
@@ -88,15 +84,15 @@ export function receiversView(camera) {
       say(told, "");
       tick();
     },
-    field("Role of its user", role),
-    sentence,
+    pick("Role of its user", "role", "operator", Object.entries(ROLES).map(([role, text]) => [role, role, text])),
     h("button", { type: "submit" }, "Pair a receiver"),
   );
   load().catch((error) => place.replaceChildren(empty(error.message)));
-  const list = card("Paired receivers", h("p", { class: "note" }, RELEASES[camera.status.release]), place);
+  const release = h("p", { class: "note" });
+  const list = card("Paired receivers", release, place);
   return {
     elements: [columns(camera.may("admin:receivers") ? [card("Pair a receiver", pair, told), offered] : [], [list])],
-    update() {},
+    update: () => say(release, RELEASES[camera.status.release]),
     tick,
     close: () => close(""),
   };

@@ -107,21 +107,17 @@ function sceneCard() {
 
 function faults() {
   const told = h("p", { class: "note", role: "status" }, "Nothing is broken.");
-  const choice = h(
-    "select",
-    {},
-    FAULTS.map(([text], index) => h("option", { value: index }, text)),
-  );
+  const chosen = h("select", {}, FAULTS.map(([text], index) => h("option", { value: index }, text)));
   return h(
     "div",
     { class: "column" },
     h("p", { class: "note" }, "Break the simulated camera, and see what it says."),
-    field("What happens", choice),
+    field("What happens", chosen),
     h(
       "p",
       { class: "row" },
       button("Break it", async () => {
-        const [text, faults] = FAULTS[choice.value];
+        const [text, faults] = FAULTS[chosen.value];
         await put("/v1/simulation/faults", faults);
         say(told, `${text}.`);
       }, { plain: true }),

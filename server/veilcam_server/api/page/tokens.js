@@ -1,7 +1,7 @@
 // Tokens: who may ask this camera, and for what.
 
 import { get, post, remove } from "./api.js";
-import { button, card, columns, confirmed, empty, field, fold, form, h, secretLine } from "./dom.js";
+import { button, card, columns, confirmed, empty, field, fold, form, h, pick, secretLine } from "./dom.js";
 import { ROLES, SCOPES, day } from "./words.js";
 
 const DAY = 86400;
@@ -71,19 +71,7 @@ export function tokensView(camera) {
       },
       field("For whom or what", label),
       field("Days that it lasts", days, "Empty: until it is revoked."),
-      h(
-        "fieldset",
-        {},
-        h("legend", {}, "Role"),
-        Object.entries(ROLES).map(([role, text]) =>
-          h(
-            "label",
-            { class: "check" },
-            h("input", { type: "radio", name: "role", value: role, checked: role === "viewer" }),
-            h("span", {}, h("b", {}, role), ` ${text}`),
-          ),
-        ),
-      ),
+      pick("Role", "role", "viewer", Object.entries(ROLES).map(([role, text]) => [role, role, text])),
       fold(
         "Scopes",
         h("p", { class: "note" }, "For a program. If any is chosen, they take the place of the role."),
