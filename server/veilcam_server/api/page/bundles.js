@@ -29,7 +29,7 @@ function contents({ bundle, size, configured }) {
 export function bundlesView(camera) {
   const place = h("div", { class: "column" });
   const used = h("div", { class: "column" });
-  const told = h("p", { class: "note", role: "status" });
+  const told = h("p", { class: "note", role: "status" }, "A file is checked first, and changes nothing yet.");
   const bar = h("progress", { max: "1", value: "0", "aria-label": "Share that is sent" });
   const file = h("input", { name: "bundle", type: "file", accept: ".veilcam", required: true });
   let active = null;
@@ -94,12 +94,12 @@ export function bundlesView(camera) {
         });
         say(told, `${named(found)} can be used here. Read its card, then activate it.`);
       } catch (error) {
-        say(told, "");
+        say(told, "Nothing was changed.");
         throw error;
       }
       await load();
     },
-    field("A file *.veilcam", file, "It is checked, and changes nothing yet."),
+    field("A file *.veilcam", file),
     bar,
     h("button", { type: "submit" }, "Upload"),
   );

@@ -5,7 +5,7 @@ import { button, card, columns, empty, facts, field, fold, form, h, pick, say } 
 import { pictureOf } from "./embedding.js";
 import { historyCard } from "./history.js";
 import { sceneCards } from "./scene.js";
-import { activityText, duration, isOpaque, next, policyText, sureText } from "./words.js";
+import { activityText, duration, isOpaque, isResting, next, policyText, sureText } from "./words.js";
 
 // A recording has no watch of its own.
 const REPLAYED = { activity: "on_request", detail: null, policy: {} };
@@ -59,7 +59,7 @@ function labelCard(camera) {
     label.classList.toggle("none", !now?.label);
     label.dataset.sure = now?.label ? sureText(now.confidence) : "";
     say(how, activityText(activity, detail, policy));
-    look.hidden = activity === "off" || activity === "quiet";
+    look.hidden = isResting(camera.watch);
     tick();
   }
 
@@ -161,6 +161,7 @@ function maskCard(camera) {
     const age = (rotation.epoch_age_s ?? 0) + passed;
     const { text, share } = next({ ...rotation, epoch_age_s: age });
     say(due, text);
+    change.hidden = isResting(camera.watch);
     bar.value = share;
     const name = rotation.epoch?.slice(0, 8);
     say(epoch, name ? `Epoch ${name}, shown for ${duration(age)}` : "The panel is opaque");

@@ -21,9 +21,8 @@ function codeOf(rows) {
 }
 
 export function receiversView(camera) {
-  const place = h("div", {});
-  const offered = h("section", { class: "card", "aria-label": "Line that pairs", hidden: true });
-  const told = h("p", { role: "status" });
+  const place = h("div", { class: "receivers" });
+  const offered = h("section", { class: "card", "aria-label": "Line that pairs", tabindex: "-1", hidden: true });
   const left = h("p", { class: "note" });
   let ends = null;
   let known = new Set();
@@ -55,11 +54,12 @@ export function receiversView(camera) {
     );
   }
 
+  // The line goes, and its place stays, so that nothing moves.
   function close(text) {
     ends = null;
-    offered.replaceChildren();
-    offered.hidden = true;
-    say(told, text);
+    offered.style.minHeight = `${offered.offsetHeight}px`;
+    if (offered.contains(document.activeElement)) offered.focus();
+    offered.replaceChildren(h("p", { role: "status" }, text));
   }
 
   function tick() {
@@ -80,8 +80,8 @@ export function receiversView(camera) {
       const { elements, copy } = secretLine(answer.line, "Type on the receiver: veilcam pair, and this line between quotes.");
       offered.replaceChildren(h("h2", {}, "Line that pairs"), ...elements, h("p", { class: "row" }, copy), codeOf(answer.code), left);
       offered.hidden = false;
-      ends = performance.now() + new Date(answer.expires_at) - at;
-      say(told, "");
+      offered.scrollIntoView({ block: "nearest" });
+      ends = performance.now() + Date.parse(answer.expires_at) - at;
       tick();
     },
     pick("Role of its user", "role", "operator", Object.entries(ROLES).map(([role, text]) => [role, role, text])),
@@ -91,7 +91,8 @@ export function receiversView(camera) {
   const release = h("p", { class: "note" });
   const list = card("Paired receivers", release, place);
   return {
-    elements: [columns(camera.may("admin:receivers") ? [card("Pair a receiver", pair, told), offered] : [], [list])],
+    // What comes and goes is last, so that nothing moves for it.
+    elements: [columns(camera.may("admin:receivers") ? [card("Pair a receiver", pair)] : [], [list, offered])],
     update: () => say(release, RELEASES[camera.status.release]),
     tick,
     close: () => close(""),

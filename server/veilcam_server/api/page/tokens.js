@@ -66,8 +66,9 @@ export function tokensView(camera) {
           secret.hidden = true;
         }, { plain: true });
         secret.replaceChildren(h("h2", {}, `Token of ${made.label}`), ...elements, h("p", { class: "row" }, copy, done));
-        secret.hidden = false;
         await load();
+        secret.hidden = false;
+        secret.scrollIntoView({ block: "nearest" });
       },
       field("For whom or what", label),
       field("Days that it lasts", days, "Empty: until it is revoked."),
@@ -94,7 +95,7 @@ export function tokensView(camera) {
   }
   load().catch((error) => place.replaceChildren(empty(error.message)));
   return {
-    elements: [columns([card("Make a token", make()), secret], [card("Tokens of this camera", place)])],
+    elements: [columns([card("Make a token", make())], [card("Tokens of this camera", place), secret])],
     update() {},
   };
 }

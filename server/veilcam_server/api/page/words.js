@@ -33,8 +33,11 @@ const RESTING = new Set(["off", "quiet"]);
 
 export function isOpaque({ status, watch }) {
   if (status.state === "replay") return false;
-  return status.rotation.epoch === null || OPAQUE.has(status.state) || RESTING.has(watch?.activity);
+  return status.rotation.epoch === null || OPAQUE.has(status.state) || isResting(watch);
 }
+
+// Nothing is looked at, because that is wanted now.
+export const isResting = (watch) => RESTING.has(watch?.activity);
 
 export function activityText(activity, detail, policy) {
   switch (activity) {
