@@ -34,7 +34,7 @@ from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
 
-PATIENCE = 20_000.0
+PATIENCE = 120_000.0
 """Longest wait for what a page shall show, on a machine that does much else [ms]."""
 CAPTURES = 8
 """Behind each mask: the light of a fresh one takes a simulated camera a fifth of a second, which at

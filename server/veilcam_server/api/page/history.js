@@ -33,8 +33,7 @@ export function createMemory() {
       const before = counts.at(-1)?.looks ?? looks;
       if (looks > before) memory.looked();
       if (looks < before) counts = [];
-      counts.push({ at, looks });
-      while (counts.length > 1 && counts[1].at <= at - MINUTE) counts.shift();
+      counts = [...counts.filter((each) => each.at > at - MINUTE), { at, looks }];
     },
     // Looks a second over the last minute; null: not known yet.
     rate() {

@@ -89,7 +89,9 @@ function labelCard(camera) {
       h("div", { class: "seen" }, label, since),
       camera.may("classify") ? h("p", { class: "row" }, look) : null,
       how,
-      facts([["Looks a second, last minute", rate], ["Last look", last], ["Captures in total", captures]]),
+      camera.may("classify")
+        ? facts([["Looks a second, last minute", rate], ["Last look", last], ["Captures in total", captures]])
+        : null,
       camera.may("mask:rotate") && camera.watch ? watchForm(camera) : null,
     ),
     update: draw,
