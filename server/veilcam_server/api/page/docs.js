@@ -1,7 +1,7 @@
 // The API as a page: the OpenAPI document of this daemon, one card for each subject.
 
 import { Problem, get } from "./api.js";
-import { card, h, say } from "./dom.js";
+import { card, facts, fold, h, say } from "./dom.js";
 
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
@@ -51,23 +51,12 @@ function operation(method, path, found) {
 
 function parameters(found) {
   if (!found.length) return null;
-  return h(
-    "dl",
-    { class: "facts" },
-    found.map((each) =>
-      h("div", {}, h("dt", {}, h("code", {}, each.name)), h("dd", {}, `${each.in}${each.required ? ", required" : ""}`)),
-    ),
-  );
+  return facts(found.map((each) => [h("code", {}, each.name), `${each.in}${each.required ? ", required" : ""}`]));
 }
 
 function problems(responses) {
   const bad = Object.entries(responses).filter(([status]) => status >= "400");
-  return h(
-    "details",
-    {},
-    h("summary", {}, "What can go wrong"),
-    h("dl", { class: "facts" }, bad.map(([status, { description }]) => h("div", {}, h("dt", {}, status), h("dd", {}, description)))),
-  );
+  return fold("What can go wrong", facts(bad.map(([status, { description }]) => [status, description])));
 }
 
 function draw(found) {
@@ -97,7 +86,8 @@ function list() {
       return h("li", {}, h("a", { href: `#${id}` }, h("span", {}, method.textContent), " ", path.textContent));
     })),
   ]);
-  const folded = h("details", { open: WIDE.matches }, h("summary", {}, "Operations"), groups.flat());
+  const folded = fold("Operations", groups.flat());
+  folded.open = WIDE.matches;
   WIDE.addEventListener("change", () => { folded.open = WIDE.matches; });
   index.replaceChildren(folded);
   addEventListener("scroll", follow, { passive: true });
