@@ -137,8 +137,10 @@ class Desk:
         ) as process:
             assert process.stdout is not None
             try:
-                lines = (line for line in process.stdout if "listening on" in line)
-                self.url = next(lines).split()[-1]
+                said = (line for line in process.stdout if "listening on" in line)
+                if (line := next(said, None)) is None:
+                    raise LineError(f"{command} does not listen")
+                self.url = line.split()[-1]
                 yield self.url
             finally:
                 process.terminate()
