@@ -210,12 +210,12 @@ class Impostor:
         self._context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         self._context.load_cert_chain(certificate, key)
         self.certificate = certificate_digest(certificate).hex()
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.url = f"https://127.0.0.1:{self._server.getsockname()[1]}"
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"https://127.0.0.1:{self.server.getsockname()[1]}"
 
     def _hear(self) -> bytes:
         """Take one connection, and return what it says once it is encrypted."""
-        one, _ = self._server.accept()
+        one, _ = self.server.accept()
         with one, suppress(OSError), self._context.wrap_socket(one, server_side=True) as talk:
             talk.settimeout(10)
             return talk.recv(65536)
@@ -232,8 +232,7 @@ class Impostor:
 
 def wrong_certificate(door: Door, count: int) -> int:
     """Show a client whose line is the camera's another certificate."""
-    with work_folder() as folder:
-        impostor = Impostor(folder / "impostor")
+    with work_folder() as folder, (impostor := Impostor(folder / "impostor")).server:
         if not impostor.told(impostor.certificate, bytes(16)):
             raise typer.BadParameter("a line with its own certificate tells it nothing, either")
         return sum(impostor.told(door.certificate, door.offer()) for _ in range(count))
