@@ -6,8 +6,16 @@ from collections.abc import Callable
 from typing import Literal
 
 import pytest
-from playwright.sync_api import Page, ViewportSize, expect
-from tests.page.conftest import PHONE, WIDE, Daemon, Open, begin_calibration, end_calibration, violations
+from playwright.sync_api import ViewportSize, expect
+from tests.page.conftest import (
+    PHONE,
+    WIDE,
+    Daemon,
+    Open,
+    begin_calibration,
+    end_calibration,
+    violations,
+)
 
 pytestmark = pytest.mark.page
 

@@ -54,10 +54,11 @@ export function receiversView(camera) {
     );
   }
 
-  // The line goes, and its place stays, so that nothing moves.
+  // The line goes, and the height of its column stays, so that nothing moves.
   function close(text) {
     ends = null;
-    offered.style.minHeight = `${offered.offsetHeight}px`;
+    const column = offered.parentElement;
+    column.style.minHeight = `${column.offsetHeight}px`;
     if (offered.contains(document.activeElement)) offered.focus();
     offered.replaceChildren(h("p", { role: "status" }, text));
   }
