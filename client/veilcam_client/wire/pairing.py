@@ -143,13 +143,13 @@ class PairingClaim(ReceiverRequest):
 class Paired(Answer):
     """Receiver that was just paired, with its token; ``token`` is shown this once."""
 
-    device: str
+    device: str = Field(pattern=r"^[0-9a-f]{64}$")
     """Public Ed25519 key of the camera, 64 hexadecimal digits."""
     receiver: PairedReceiver
     """Receiver."""
     role: str
     """Role of the token."""
-    token: str | None = Field(repr=False)
+    token: str | None = Field(repr=False, pattern=r"^[!-~]+$")
     """Token of the role; None where the camera wants no tokens."""
 
 

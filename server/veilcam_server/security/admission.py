@@ -24,7 +24,6 @@ from veilcam_server.security.sessions import HEADER, SessionStore
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import Caller, TokenStore
 from veilcam_server.settings import Settings
-from veilcam_server.system.listeners import certificate_digest
 from veilcam_server.system.state_file import Report, log_fault
 
 STREAMS = "event streams are open: close one that nobody reads"
@@ -178,7 +177,10 @@ def _failures(peer: str) -> str:
 
 @contextmanager
 def open_admission(
-    settings: Settings, camera_log: Log | None = None, report: Report = log_fault
+    settings: Settings,
+    camera_log: Log | None = None,
+    report: Report = log_fault,
+    certificate: bytes | None = None,
 ) -> Iterator[Admission]:
     """Yield what stands in front of a daemon.
 
@@ -186,6 +188,7 @@ def open_admission(
         settings: settings of the daemon.
         camera_log: log of what callers do; None in tests.
         report: takes what was damaged of its state.
+        certificate: SHA-256 of the certificate that it serves; None: plain HTTP.
 
     Raises:
         StartError: the state directory cannot be used.
@@ -194,7 +197,6 @@ def open_admission(
     sessions = None if tokens is None else SessionStore(settings.state_dir, tokens, report)
     offers = None
     if settings.release != "none":
-        certificate = certificate_digest(settings.tls_certificate)
         offers = PairingOffers(settings.state_dir, tokens, certificate, report)
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until 'sudo veilcamd token first' made one")

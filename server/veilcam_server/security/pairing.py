@@ -62,19 +62,19 @@ class ClaimedOffer:
 
     Attributes:
         role: role of the token that it gives.
-        lifetime: lifetime of that token [s]; None: for ever.
+        until: end of that token, seconds since 1970; None: never.
         tokens: store of the tokens; None: the daemon wants none.
     """
 
     role: Role
-    lifetime: float | None
+    until: float | None
     tokens: TokenStore | None
 
     def token(self, label: str) -> NewToken | None:
         """Make the token, if the daemon wants any; raises :class:`StorageError`."""
         if self.tokens is None:
             return None
-        return self.tokens.create(label, ROLES[self.role], self.lifetime)
+        return self.tokens.create(label, ROLES[self.role], until=self.until)
 
 
 class PairingOffers:
@@ -175,24 +175,21 @@ class PairingOffers:
         """Return an offer that may be claimed; None for one that has ended."""
         if offer is None or offer.digest == self._ended or self._now() >= offer.expires:
             return None
-        lifetime = None
+        until = None
         if offer.maker is not None and self._tokens is not None:
             try:
-                lifetime = self._tokens.lifetime(self._tokens.caller_of(offer.maker))
+                until = self._tokens.caller_of(offer.maker).expires
             except UnauthorizedError:
                 return None
-        return ClaimedOffer(offer.role, lifetime, self._tokens)
+        return ClaimedOffer(offer.role, until, self._tokens)
 
     def _count(self, offer: _Offer) -> bool:
         """Count a wrong claim; return whether it ended the offer."""
-        self._tried, self._wrong = (
-            offer.digest,
-            1 if self._tried != offer.digest else self._wrong + 1,
-        )
-        if self._wrong < MOST_TRIES:
-            return False
-        self._ended = offer.digest
-        return True
+        self._tried, before = offer.digest, self._wrong if self._tried == offer.digest else 0
+        self._wrong = before + 1
+        if self._wrong == MOST_TRIES:
+            self._ended = offer.digest
+        return self._ended == offer.digest
 
 
 def qr_code(line: str) -> tuple[str, ...]:

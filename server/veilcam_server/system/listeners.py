@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
-from veilcam_server.system.state_file import StateStore
+from veilcam_server.system.state_file import HeldDirectory, StateStore
 from veilcam_server.system.systemd import take_sockets
 
 BACKLOG = 2048
@@ -204,24 +204,19 @@ def listening_record(directory: Path) -> StateStore[Listening]:
     return StateStore(directory / "listening.json", Listening, lost="restart the daemon")
 
 
-def certificate_digest(path: Path | None) -> bytes | None:
-    """Return the SHA-256 of a PEM file's first certificate; None: there is no file.
+def running_daemon(directory: Path) -> Listening:
+    """Return where the daemon of a state directory listens.
 
     Raises:
-        StartError: the file cannot be used.
+        StartError: no daemon runs, or it does not listen yet.
     """
-    if path is None:
-        return None
-    # Late: it takes long to load, and most daemons serve plain HTTP.
-    from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
-    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415
-
-    try:
-        return load_pem_x509_certificates(path.read_bytes())[0].fingerprint(SHA256())
-    except (OSError, ValueError):
-        raise StartError(
-            f"--tls-certificate: {path} cannot be read as a certificate: check it"
-        ) from None
+    record = listening_record(directory).read() if directory.is_dir() else None
+    if record is not None:
+        try:
+            HeldDirectory(directory).close()
+        except StartError:
+            return record
+    raise StartError(f"no daemon runs in {directory}: start it, or name its --state-dir")
 
 
 def _own_address() -> str:

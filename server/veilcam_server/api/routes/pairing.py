@@ -30,7 +30,7 @@ from veilcam_server.api.dependencies import (
     problems,
     requires,
 )
-from veilcam_server.errors import ProblemError, StorageError
+from veilcam_server.errors import ProblemError
 from veilcam_server.sealing.receivers import Pairing, parse_receiver
 from veilcam_server.security.pairing import PairingOffers, WrongClaimError
 
@@ -116,7 +116,7 @@ def _pair(
         made = pairing.add_now(question)
         try:
             token = offer.token(question.label)
-        except StorageError:
+        except Exception:
             pairing.remove_now(made.id)
             raise
     secret, token_id = (None, None) if token is None else (token.secret, token.id)
