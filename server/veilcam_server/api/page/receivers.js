@@ -78,7 +78,7 @@ export function receiversView(camera) {
       await load();
       // The clock of the camera may differ from that of this browser.
       const { answer, at } = await timed("/v1/pairing", { role: values.get("role") });
-      const { elements, copy } = secretLine(answer.line, "Type on the receiver: veilcam pair, and this line between quotes.");
+      const { elements, copy } = secretLine(answer.line, "On the receiver, type veilcam pair and then this line, between quotes:");
       offered.replaceChildren(h("h2", {}, "Line that pairs"), ...elements, h("p", { class: "row" }, copy), codeOf(answer.code), left);
       offered.hidden = false;
       offered.scrollIntoView({ block: "nearest" });
