@@ -6,8 +6,13 @@ from collections.abc import Callable
 from typing import Literal
 
 import pytest
-from playwright.sync_api import Page, ViewportSize, expect
-from tests.page.conftest import PHONE, WIDE, Daemon, Open, begin_calibration, end_calibration, violations
+from playwright.sync_api import ViewportSize, expect
+from tests.page.conftest import (
+    PHONE,
+    WIDE,
+    Open,
+    violations,
+)
 
 pytestmark = pytest.mark.page
 
@@ -56,9 +61,7 @@ def test_axe_finds_nothing_on_any_view(
     assert found == []
 
 
-def test_axe_finds_nothing_in_what_comes_and_goes(
-    open_page: Open, record_property: Record, daemon: Daemon
-) -> None:
+def test_axe_finds_nothing_in_what_comes_and_goes(open_page: Open, record_property: Record) -> None:
     page = open_page("/#tokens", axe=True)
     page.get_by_label("For whom or what").fill("axe")
     page.get_by_role("button", name="Make token").click()
@@ -68,11 +71,6 @@ def test_axe_finds_nothing_in_what_comes_and_goes(
     expect(page.get_by_role("dialog")).to_be_visible()
     found += violations(page)
     page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
-    page.goto(f"{daemon.url}/#calibrate")
-    begin_calibration(page)
-    expect(page.get_by_role("button", name="End it")).to_be_visible()
-    found += violations(page)
-    end_calibration(page)
     page.get_by_role("link", name="Live").click()
     page.get_by_role("button", name="Take one").click()
     expect(page.locator(".picture canvas")).to_be_visible()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -90,7 +90,7 @@ class Job:
         width = self.page.viewport_size["width"] if self.page.viewport_size else 0
         PICTURES.mkdir(parents=True, exist_ok=True)
         for scheme in ("dark", "light"):
-            self.page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            self.page.emulate_media(color_scheme=scheme)
             path = PICTURES / f"{self.name}-{moment}-{width}-{scheme}.png"
             self.page.screenshot(path=path, full_page=True, animations="disabled")
             found += violations(self.page)
@@ -108,8 +108,8 @@ class Job:
 @pytest.fixture(params=SIZES, ids=lambda size: f"{size['width']} px")
 def begin(
     request: pytest.FixtureRequest, open_page: Open, record_property: Record
-) -> Iterator[Callable[[str], Job]]:
-    yield lambda name: Job(open_page(viewport=request.param), name, record_property)
+) -> Callable[[str], Job]:
+    return lambda name: Job(open_page(viewport=request.param), name, record_property)
 
 
 def test_job_see(begin: Callable[[str], Job]) -> None:
@@ -128,6 +128,10 @@ def test_job_see(begin: Callable[[str], Job]) -> None:
     job.press("Look once")
     expect(total).not_to_have_text(before)
     job.keep("label")
+    job.view("Health")
+    expect(page.get_by_text("Ready: no problem was found")).to_be_visible()
+    expect(page.get_by_role("listitem").filter(has_text="state directory")).to_be_visible()
+    job.keep("health")
     job.done()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, Route, expect
-from tests.page.conftest import Daemon, Open, begin_calibration, confirm, end_calibration, log_in
+from tests.page.conftest import Daemon, Open, confirm, log_in
 
 from veilcam_client.wire.bundles import example_bundle
 from veilcam_client.wire.calibration import CalibrationRun
@@ -65,17 +65,6 @@ def test_calibration_asks_for_its_three_scenes_one_after_the_other(open_page: Op
     expect(page.get_by_role("button", name="Scene is set")).to_have_count(0)
     confirm(page, "End it")
     expect(page.get_by_text("The calibration was ended, and nothing was changed.")).to_be_visible()
-
-
-def test_a_calibration_of_the_simulated_camera_begins_and_ends(open_page: Open) -> None:
-    page = open_page("/#calibrate")
-    begin_calibration(page)
-    expect(page.locator("#state")).to_have_text("Calibrating")
-    expect(page.get_by_text("Measuring. Leave the scene as it is.")).to_be_visible()
-    expect(page.get_by_text(re.compile(r"^\d+ of \d+ exposures"))).to_be_visible()
-    confirm(page, "End it", "Cancel")
-    expect(page.get_by_role("dialog")).to_have_count(0)
-    end_calibration(page)
 
 
 def test_a_token_is_made_shown_once_used_and_revoked(open_page: Open) -> None:

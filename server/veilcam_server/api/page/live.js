@@ -238,7 +238,7 @@ function embeddingCard(camera) {
     element: card("Embedding", none, place, told, h("p", { class: "row" }, take)),
     update() {
       const kept = camera.status.release === "none";
-      take.hidden = kept;
+      take.hidden = kept || isResting(camera.watch);
       if (kept) say(none, "Embeddings stay in the camera: labels alone leave.");
     },
   };

@@ -54,10 +54,11 @@ export function receiversView(camera) {
     );
   }
 
-  // The line goes, and its place stays, so that nothing moves.
+  // The line goes, and the height of its column stays, so that nothing moves.
   function close(text) {
     ends = null;
-    offered.style.minHeight = `${offered.offsetHeight}px`;
+    const column = offered.parentElement;
+    column.style.minHeight = `${column.offsetHeight}px`;
     if (offered.contains(document.activeElement)) offered.focus();
     offered.replaceChildren(h("p", { role: "status" }, text));
   }
@@ -77,7 +78,7 @@ export function receiversView(camera) {
       await load();
       // The clock of the camera may differ from that of this browser.
       const { answer, at } = await timed("/v1/pairing", { role: values.get("role") });
-      const { elements, copy } = secretLine(answer.line, "Type on the receiver: veilcam pair, and this line between quotes.");
+      const { elements, copy } = secretLine(answer.line, "On the receiver, type veilcam pair and then this line, between quotes:");
       offered.replaceChildren(h("h2", {}, "Line that pairs"), ...elements, h("p", { class: "row" }, copy), codeOf(answer.code), left);
       offered.hidden = false;
       offered.scrollIntoView({ block: "nearest" });
