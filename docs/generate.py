@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,15 @@ def commands_page() -> str:
     parts = [GENERATED, "# Commands\n"]
     for name, (_, purpose) in COMMANDS.items():
         parts.append(f"## {name}\n\n`{name}` {purpose}.\n")
-        parts += _command(_app(name), name, 3)
+        commands = list(_commands(_app(name), name))
+        counts = Counter(row for _, command in commands for row in _rows(command))
+        # Of options of one name with two meanings, the more common one is shared.
+        common = {_name(row): row for row, count in reversed(counts.most_common()) if count > 1}
+        shared = [row for row in counts if row.startswith("| `-") and row in common.values()]
+        if shared:
+            parts.append(f"Options that several commands have:\n\n{_table(shared)}")
+        for path, command in commands:
+            parts += _command(command, path, shared)
     return "\n".join(parts)
 
 
@@ -44,17 +53,35 @@ def _app(name: str) -> Any:
     return typer.main.get_command(import_module(COMMANDS[name][0]).app)
 
 
-def _command(command: Any, path: str, level: int) -> Iterator[str]:
-    """A command and those below it."""
+def _commands(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Yield the commands below this one, or itself, each with its words."""
     below: Mapping[str, Any] = getattr(command, "commands", {})
-    if not below:
-        title = "#" * min(level, 6)
-        yield f"{title} {path}\n\n{_prose(command.help or '')}\n"
-        rows = [row for parameter in command.params if (row := _parameter(parameter)) is not None]
-        if rows:
-            yield "| | default | what |\n|---|---|---|\n" + "\n".join(rows) + "\n"
     for name, inner in below.items():
-        yield from _command(inner, f"{path} {name}", level)
+        yield from _commands(inner, f"{path} {name}")
+    if not below:
+        yield path, command
+
+
+def _rows(command: Any) -> list[str]:
+    return [row for each in command.params if (row := _parameter(each)) is not None]
+
+
+def _name(row: str) -> str:
+    return row.split("|")[1].strip()
+
+
+def _table(rows: Iterable[str]) -> str:
+    return "| | default | what |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+
+
+def _command(command: Any, path: str, shared: Sequence[str]) -> Iterator[str]:
+    """A command with its own options, and the names of those that it shares."""
+    yield f"### {path}\n\n{_prose(command.help or '')}\n"
+    rows = _rows(command)
+    if own := [row for row in rows if row not in shared]:
+        yield _table(own)
+    if others := [_name(row) for row in rows if row in shared]:
+        yield f"{'Also' if own else 'Options'}: {', '.join(others)}.\n"
 
 
 def _parameter(parameter: Any) -> str | None:

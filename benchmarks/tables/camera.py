@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.tables.table import Figures
+from benchmarks.tables.table import Figures, Grid
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.sensor.readout import photon_snr_db
 from veilcam_server.devices.imx477 import HALF
@@ -16,9 +16,10 @@ SERVED: Figures = {
     }.items()
 }
 
-CALIBRATED: Figures = {
-    f"{knob}_{when}{figure}": ("daemon-calibration", f"{words}: {what}, decoded {said}", pattern)
-    for knob, words in {
+CALIBRATED = Grid(
+    "daemon-calibration",
+    "camera",
+    {
         "drawn": "nominal",
         "shift_y_150um": "mask 150 um off",
         "dead_lines": "a row and a column stuck open",
@@ -28,13 +29,14 @@ CALIBRATED: Figures = {
         "stray_0.1": "10 % stray light",
         "warm_up_0.1": "10 % of the light missing at first",
         "noise_30db": "noise of 30 dB, not 40",
-    }.items()
-    for figure, what, pattern in (
-        ("", "digits read right", "{:.1%}"),
-        ("_unexplained", "error of the scene", "{:.2f}"),
-    )
-    for when, said in {"before": "as nominal", "after": "as calibrated"}.items()
-}
+    },
+    {
+        "{}_before": ("digits read, nominal", "{:.1%}"),
+        "{}_after": ("digits read, calibrated", "{:.1%}"),
+        "{}_before_unexplained": ("error of the scene, nominal", "{:.2f}"),
+        "{}_after_unexplained": ("error of the scene, calibrated", "{:.2f}"),
+    },
+)
 
 
 def fills() -> str:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from benchmarks.tables.table import Figures
+from benchmarks.tables.table import Figures, Grid
 
-FRESH: Figures = {
-    **{
-        f"fresh_{task}{suffix}": ("fresh-masks", f"{words}{said}", "{:.2f} %")
-        for task, words in {
-            "mnist_24x32": "MNIST, 24 x 32",
-            "mnist_12x16": "MNIST, 12 x 16",
-            "mnist_6x8": "MNIST, 6 x 8",
-            "mnist_3x4": "MNIST, 3 x 4",
-            "mnist_shift": "MNIST anywhere in the field of view, 24 x 32",
-            "fashion_24x32": "Fashion-MNIST, 24 x 32",
-        }.items()
-        for suffix, said in {
-            "": "",
-            "_wrong_key": ", read by an attacker who does not adapt: decoded with another key",
-        }.items()
+FRESH = Grid(
+    "fresh-masks",
+    "what",
+    {
+        "mnist_24x32": "MNIST, 24 x 32",
+        "mnist_12x16": "MNIST, 12 x 16",
+        "mnist_6x8": "MNIST, 6 x 8",
+        "mnist_3x4": "MNIST, 3 x 4",
+        "mnist_shift": "MNIST anywhere in the field of view, 24 x 32",
+        "fashion_24x32": "Fashion-MNIST, 24 x 32",
     },
-}
+    {
+        "fresh_{}": ("read right", "{:.2f} %"),
+        "fresh_{}_wrong_key": ("decoded with another key", "{:.2f} %"),
+    },
+)
 
 RELEASED: Figures = {
     "cluster_ari_raw": (
@@ -64,17 +63,21 @@ HIDING: Figures = {
     )
 }
 
-REFUSED: Figures = {
-    f"{name}_refused_{key}": ("hiding", f"refused: {words}, {size}", "{:.0%}")
-    for name, size in (("gray", "24 x 32"), ("colour", "27 x 36 in colour"))
-    for key, words in (
-        ("1_holes", "one hole"),
-        ("15_holes", "15 holes"),
-        ("50_holes", "50 holes"),
-        ("hole_in_50_even", "a hole in an even ground of half the amplitude"),
-        ("hole_in_50_random", "a hole in a random ground of half the amplitude"),
-        ("stripes_random", "stripes"),
-        ("halves", "halves"),
-        ("random", "random masks"),
-    )
-}
+REFUSED = Grid(
+    "hiding",
+    "masks",
+    {
+        "1_holes": "one hole",
+        "15_holes": "15 holes",
+        "50_holes": "50 holes",
+        "hole_in_50_even": "a hole in an even ground of half the amplitude",
+        "hole_in_50_random": "a hole in a random ground of half the amplitude",
+        "stripes_random": "stripes",
+        "halves": "halves",
+        "random": "random masks",
+    },
+    {
+        "gray_refused_{}": ("refused, 24 x 32", "{:.0%}"),
+        "colour_refused_{}": ("refused, 27 x 36 in colour", "{:.0%}"),
+    },
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
+from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, CONVEX_BESIDE, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, SERVED, fills
 from benchmarks.tables.cells import CELLS_READ, OWN_PICTURES
 from benchmarks.tables.checks import CHECKS
@@ -35,7 +35,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
-    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
+    "docs/attacks.md": [CONVEX, CONVEX_BESIDE, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [REFUSED],
     "docs/device.md": [fills],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],

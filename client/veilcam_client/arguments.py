@@ -53,6 +53,8 @@ def model(kind: type[ModelT], fields: Mapping[str, object]) -> ModelT:
         return kind.model_validate(fields)
     except ValidationError as error:
         item = error.errors(include_url=False)[0]
+        if not item["loc"]:
+            raise ArgumentError(item["msg"].removeprefix("Value error, ")) from None
         name = str(item["loc"][0])
         value = f" = {reprlib.repr(fields[name])}" if kind.model_fields[name].repr else ""
         raise ArgumentError(f"{name}{value} is not valid: {item['msg']}") from None

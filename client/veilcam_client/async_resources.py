@@ -21,6 +21,7 @@ from veilcam_client.wire.calibration import (
 )
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogRecords
+from veilcam_client.wire.pairing import Paired, PairingClaim, PairingOffer, PairingRequest
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -34,6 +35,7 @@ from veilcam_client.wire.tokens import (
     MOST_TOKENS,
     TOKENS_AT_ONCE,
     NewToken,
+    Role,
     Scope,
     Token,
     TokenRequest,
@@ -124,13 +126,23 @@ class AsyncTokenResource(AsyncResource):
     async def create(
         self,
         label: str,
-        scopes: Sequence[Scope],
+        scopes: Sequence[Scope] = (),
         *,
+        role: Role | None = None,
         seconds: int | None = None,
         timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewToken:
-        """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        asked = model(TokenRequest, {"label": label, "scopes": scopes, "seconds": seconds})
+        """Make a token of a role or of scopes; its ``secret`` is told this once.
+
+        Args:
+            label: label for people; it stands in the log.
+            scopes: scopes of the token; empty where a ``role`` is given.
+            role: ``viewer``, ``operator`` or ``owner``; None where ``scopes`` are given.
+            seconds: time that it is valid [s]; None: until it is revoked.
+            timeout: time-out of the call in all [s].
+        """
+        given = {"label": label, "role": role, "scopes": scopes, "seconds": seconds}
+        asked = model(TokenRequest, given)
         call = Call("POST", "/v1/tokens", NewToken, asked, once=True)
         return await self._transport.send(call, timeout)
 
@@ -164,6 +176,34 @@ class AsyncReceiverResource(AsyncResource):
     async def remove(self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Nothing:
         """Seal to a receiver no more, from the next mask on; what it has it still opens."""
         call = Call("DELETE", f"/v1/receivers/{part('receiver_id', receiver_id)}", Nothing)
+        return await self._transport.send(call, timeout)
+
+    async def offer(
+        self, role: Role = "operator", *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> PairingOffer:
+        """Offer to pair one receiver: whoever has the ``line`` may, once, and soon.
+
+        Args:
+            role: role of the token that the receiver's user gets.
+            timeout: time-out of the call in all [s].
+        """
+        asked = model(PairingRequest, {"role": role})
+        call = Call("POST", "/v1/pairing", PairingOffer, asked, once=True)
+        return await self._transport.send(call, timeout)
+
+    async def claim(
+        self, secret: str, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> Paired:
+        """Pair a receiver by the secret of an offer; ``veilcam pair`` does all of it.
+
+        Args:
+            secret: secret of the offer's line, 32 hexadecimal digits.
+            label: label for people; it stands in the status and in the log.
+            key: public key of the receiver.
+            timeout: time-out of the call in all [s].
+        """
+        asked = model(PairingClaim, {"secret": secret, "label": label, "key": str(key)})
+        call = Call("POST", "/v1/pairing/claim", Paired, asked)
         return await self._transport.send(call, timeout)
 
 

@@ -14,10 +14,11 @@ from veilcam_client.http.answers import RawResponse, kept_answers, raw_response
 from veilcam_client.http.calls import Call
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
-from veilcam_client.http.options import Options, RetryPolicy, address, follow_environment
+from veilcam_client.http.options import Options, RetryPolicy, follow_environment
 from veilcam_client.http.streams import EventStream
 from veilcam_client.http.transport import HttpClient, Transport
 from veilcam_client.keys.opening import KeySource, opened, opener_of
+from veilcam_client.profiles import Profile, profile_of
 from veilcam_client.resources import (
     BundleResource,
     CalibrationResource,
@@ -54,8 +55,12 @@ class Camera:
     request on the terminal.
 
     Args:
-        url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket; that in ``VEILCAM_URL`` if
-            None, else that of a daemon on this machine.
+        url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket. If None, the camera of the
+            profile, else that in ``VEILCAM_URL``, else that of the default profile, else a daemon
+            on this machine.
+        profile: name of a profile in ``veilcam/config.toml``, as ``veilcam pair`` makes it: URL,
+            token, certificate, key and device, none of which reaches another camera. That in
+            ``VEILCAM_PROFILE`` if None and there is no ``url``.
         timeout: time-out of a call with repetitions and their pauses [s]; None: no limit. Every
             method takes one of its own.
         connect_timeout: time-out of a connection to the daemon [s].
@@ -64,12 +69,13 @@ class Camera:
         key: private key of a receiver, or its file: embeddings come opened, each with its notes,
             and one that is not sealed to it, or that came before or later than the next one of its
             mask, raises ``SealedError``. So ask for one after the other.
+            That of the profile if None.
         device: public key of the camera, 64 hexadecimal digits, as ``veilcam receiver add`` prints
-            it; that of the first embedding that is opened if None.
-        token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over
-            https, unix sockets, and http to this machine, nowhere else.
-        ca_file: PEM file of the authority that vouches for an https daemon; that in
-            ``VEILCAM_CA_FILE`` if None, else those that the system trusts.
+            it; that of the profile if None, else that of the first embedding that is opened.
+        token: made by ``veilcamd token create``; that of the profile or in ``VEILCAM_TOKEN`` if
+            None. It goes over https, unix sockets, and http to this machine, nowhere else.
+        ca_file: PEM file of the authority that vouches for an https daemon; that of the profile or
+            in ``VEILCAM_CA_FILE`` if None, else those that the system trusts.
         http_client: an ``httpx.Client`` to use instead of an own one; it is not closed. Where
             such a client is not, a deadline is asked for between two pieces alone.
 
@@ -83,6 +89,7 @@ class Camera:
         self,
         url: str | None = None,
         *,
+        profile: str | Profile | None = None,
         timeout: float | None = 120.0,
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
@@ -94,9 +101,11 @@ class Camera:
         http_client: HttpClient | None = None,
     ) -> None:
         follow_environment()
-        self._opener = opener_of(key, device)
-        retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
-        options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
+        own = profile_of(url, profile, token=token, ca_file=ca_file, key=key, device=device)
+        self._opener = opener_of(own.key, own.device)
+        retry = RetryPolicy(retries=max_retries)
+        credentials = Credentials(own.token, own.ca_file, own.certificate)
+        options = Options(own.url, timeout, connect_timeout, read_timeout, retry, credentials)
         self._transport = transport = Transport(options, http_client)
         self.bundles: BundleResource = BundleResource(transport)
         self.tokens: TokenResource = TokenResource(transport)

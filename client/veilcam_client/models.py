@@ -30,6 +30,7 @@ from veilcam_client.wire.captures import (
 )
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.log import LogRecord, LogRecords
+from veilcam_client.wire.pairing import Paired, PairingOffer
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -51,7 +52,7 @@ from veilcam_client.wire.status import (
     Status,
     WallClock,
 )
-from veilcam_client.wire.tokens import NewToken, Scope, Token, Tokens
+from veilcam_client.wire.tokens import NewToken, Role, Scope, Token, Tokens
 from veilcam_client.wire.watch import (
     Activity,
     Belief,
@@ -96,7 +97,9 @@ __all__ = [
     "Notes",
     "Nothing",
     "OnRequest",
+    "Paired",
     "PairedReceiver",
+    "PairingOffer",
     "PanelFaults",
     "PastFault",
     "PastState",
@@ -108,6 +111,7 @@ __all__ = [
     "Receivers",
     "Remedy",
     "Replay",
+    "Role",
     "Rotation",
     "RotationOff",
     "RotationPolicy",

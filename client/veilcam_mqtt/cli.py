@@ -15,7 +15,6 @@ from typing import Annotated, Any
 import typer
 
 from veilcam_client import AsyncCamera
-from veilcam_client.cli.profiles import URL, environment
 from veilcam_client.cli.terminal import (
     EXIT_CODES_HELP,
     ProfileOption,
@@ -122,9 +121,9 @@ def run(
         reached.tls()
         Names(name or "veilcam", base, discovery)
         hooks = [Webhook(address, secret) for address in webhook or ()]
-        with environment({URL: SOCKET, **camera_of(url, profile, token_file)}):
-            # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
-            camera = AsyncCamera(max_retries=0)
+        found = camera_of(url, profile, token_file, local=SOCKET)
+        # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
+        camera = AsyncCamera(profile=found, max_retries=0)
 
     bridge = _bridged(camera, reached, hooks, name=name, base=base, discovery=discovery)
     try:

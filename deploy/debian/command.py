@@ -18,6 +18,9 @@ COMMANDS = {
 
 release = Path("/var/lib/veilcam-release/current").resolve()
 sys.path[:0] = [str(release / "lib"), str(release / "py{}{}".format(*sys.version_info))]
+# Root and the daemon's user mean the daemon's state, as its unit does.
+if os.access("/var/lib/veilcam", os.W_OK):
+    os.environ.setdefault("VEILCAM_STATE_DIRECTORY", "/var/lib/veilcam")
 # Before NumPy is loaded, as `veilcam_client.entry_points` does.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 import_module(COMMANDS[Path(sys.argv[0]).name]).main()

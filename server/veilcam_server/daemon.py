@@ -22,6 +22,7 @@ from veilcam_server.errors import (
     BundleRefusedError,
     RotationImpossibleError,
     StartError,
+    StorageError,
 )
 from veilcam_server.gate.protocol import Connections
 from veilcam_server.gate.server import GateServer
@@ -31,7 +32,13 @@ from veilcam_server.service.served_camera import ServedCamera
 from veilcam_server.service.service import Service
 from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
-from veilcam_server.system.listeners import Listener, open_listeners, room_for
+from veilcam_server.system.listeners import (
+    Listener,
+    Listening,
+    listening_record,
+    open_listeners,
+    room_for,
+)
 from veilcam_server.system.memory import forbid_core_files, no_garbage
 from veilcam_server.system.systemd import notify
 from veilcam_training.bundle import BundleError
@@ -75,6 +82,15 @@ def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
             "the key it was made for, both as PEM"
         ) from None
     return context
+
+
+def certificate_digest(path: Path) -> bytes:
+    """Return the SHA-256 of the first certificate of a PEM file that a server uses."""
+    # Late: it takes long to load, and most daemons serve plain HTTP.
+    from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
+    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415
+
+    return load_pem_x509_certificates(path.read_bytes())[0].fingerprint(SHA256())
 
 
 def _no_passphrase() -> str:
@@ -159,13 +175,14 @@ def _serve(
         for url in urls:
             on_listening(url)
 
-    tls = None
+    tls = certificate = None
     if settings.tls_certificate is not None and settings.tls_key is not None:
         tls = server_context(settings.tls_certificate, settings.tls_key)
+        certificate = certificate_digest(settings.tls_certificate)
     with no_garbage():
         service = build_service(settings)
     try:
-        with open_admission(settings, service.log, service.report) as admission:
+        with open_admission(settings, service.log, service.report, certificate) as admission:
             room = room_for(settings.connections)
             connections = Connections(*room, run=admission.keys.run)
             config = uvicorn.Config(
@@ -186,6 +203,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
+            _record(settings, urls, certificate)
             server = _Server(config, connections, service, listening)
             log.info(
                 "start",
@@ -198,6 +216,20 @@ def _serve(
             server.run([listener.socket for listener in listeners])
     finally:
         service.stop()
+
+
+def _record(settings: Settings, urls: list[str], certificate: bytes | None) -> None:
+    """Record where the daemon listens; a disk that refuses it ends nothing."""
+    record = Listening(
+        urls=tuple(urls),
+        hosts=settings.hosts,
+        certificate=None if certificate is None else certificate.hex(),
+        pairs=settings.release != "none",
+    )
+    try:
+        listening_record(settings.state_dir).change(lambda _: record)
+    except StorageError as error:
+        log.warning("'veilcamd pair' does not find this daemon", reason=str(error))
 
 
 def _exit(*_: object) -> None:

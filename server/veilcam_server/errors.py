@@ -150,8 +150,8 @@ class UnauthorizedError(NamedError, code="unauthorized"):
 
     def __init__(self) -> None:
         super().__init__(
-            "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
-            "as Authorization: Bearer"
+            "this daemon wants a valid token as Authorization: Bearer; 'sudo veilcamd token first' "
+            "on its machine makes the first"
         )
 
 

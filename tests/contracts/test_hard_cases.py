@@ -1,4 +1,4 @@
-"""The cases that break optics code, by name, over every operator they can reach."""
+"""Cases that break optics code, over every operator that they can reach."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_operator_is_finite_at_any_distance_and_wavelength(
 @of_weights
 @pytest.mark.parametrize("openness", [0.0, 1.0])
 def test_opaque_and_fully_open(operator: Operator, openness: float) -> None:
-    """Also what scenes or measurements of zeros, or of equal ones, give: finite, dark is dark."""
+    """Zeros, and equal values, give finite results; dark stays dark."""
     setting = Setting()
     bound = operator.bind(setting)
     x = torch.full_like(bound.sample(setting), openness).requires_grad_()
@@ -276,7 +276,7 @@ def test_learnable_distance_through_the_transfer_operator() -> None:
 @pytest.mark.thorough
 @pytest.mark.long
 def test_many_steps(*, long_form: bool) -> None:
-    """Adam with projection to [0, 1], and a gradient that is now and then absurd: no NaN, no end.
+    """Adam with projection to [0, 1] gives no NaN, also after absurd gradients.
 
     After the last upset the mask still learns what it is shown: no weight has died.
     """

@@ -19,7 +19,7 @@ from .setting import measurement_model
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("electrons", [1e5, 1e12, 1e18, 1e30])
 def test_saturated_sensor(electrons: float, dtype: torch.dtype) -> None:
-    """However bright: every pixel reads a full well, and the converter its largest number."""
+    """Every pixel reads a full well, and the converter its largest number."""
     conditions = Conditions(electrons=8000.0, full_well=8000.0, adc_bits=12, read_noise=3.0)
     values = torch.full((20, 20), electrons / 8000.0, dtype=dtype)
     assert torch.equal(
@@ -28,7 +28,7 @@ def test_saturated_sensor(electrons: float, dtype: torch.dtype) -> None:
 
 
 def test_around_the_full_well() -> None:
-    """Measurements rise up to the full well and stay there; nothing wraps around."""
+    """Measurements rise up to the full well and stay there."""
     conditions = Conditions(electrons=1e4, full_well=8e3, adc_bits=12, adc_range=1.0)
     values = torch.linspace(0, 1.6, 4001, dtype=torch.float64)
     measurements = read(measurement_model(conditions, shot=False), values)
@@ -39,7 +39,7 @@ def test_around_the_full_well() -> None:
 
 
 def test_saturated_embedding() -> None:
-    """The full well of an embedding value: clipped, and no gradient where more light is no news."""
+    """A value is clipped at its full well, and has no gradient there."""
     conditions = Conditions(electrons=1000.0, full_well=500.0, adc_bits=8)
     values = torch.tensor([[0.1, 0.49, 0.51, 1e6]], dtype=torch.float64, requires_grad=True)
     measurement = read(measurement_model(conditions, shot=False), values)

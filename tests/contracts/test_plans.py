@@ -154,7 +154,7 @@ def test_noise_of_a_plan_is_noise_after_the_optics() -> None:
 @pytest.mark.parametrize("distance", [1e-6, 1e-4, 0.4, 1e3])
 @pytest.mark.parametrize("wavelength", [200e-9, 10e-6])
 def test_total_at_the_ends(distance: float, wavelength: float) -> None:
-    """A plan for any camera that can exist: it runs, and says so if it is not good enough."""
+    """A plan for any camera that can exist runs, and says if it is not good enough."""
     setting = Setting(3, 3, distance=distance, wavelength=wavelength)
     chosen = plan(setting.camera(), setting.scene(), setting.embedding(), 1e-2, batch=2)
     dtype = chosen.model.sampling.dtype

@@ -133,6 +133,11 @@ def test_figures_are_those_of_the_result_files() -> None:
     assert privacy.MODULE.read_text() == privacy.module(), "run python -m benchmarks.tables"
 
 
+@pytest.mark.parametrize("name", ["own-pictures", "tutorial-label", "tutorial-receiver"])
+def test_tutorial_is_one_page(name: str) -> None:
+    assert len((ROOT / "docs" / f"{name}.md").read_text().split()) <= 450
+
+
 def test_every_dependency_has_its_reason() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = list(project["dependencies"])

@@ -138,21 +138,18 @@ def confirm(page: Page, asked: str, answer: str | None = None) -> None:
     page.get_by_role("dialog").get_by_role("button", name=answer or asked).click()
 
 
-def begin_calibration(page: Page) -> None:
-    """Begin one of so many exposures that it is not over before it is looked at, or ended."""
-    page.get_by_label("Exposures for one measurement").fill("100")
-    page.get_by_role("button", name="Begin").click()
-
-
-def end_calibration(page: Page) -> None:
-    confirm(page, "End it")
-    expect(page.get_by_text("The calibration was ended")).to_be_visible()
-    expect(page.locator("#state")).to_have_text("Ready")
-
-
 def listening(page: Page) -> None:
     expect(page.locator("h1")).to_be_visible()
     expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
+
+
+def violations(page: Page) -> list[str]:
+    # Without the places of what is well, which take most of the time on a long page.
+    found = page.evaluate("async () => (await axe.run({ resultTypes: ['violations'] })).violations")
+    return [
+        f"{each['id']}: {', '.join(str(node['target']) for node in each['nodes'])}"
+        for each in found
+    ]
 
 
 Open: TypeAlias = Callable[..., Page]

@@ -2,53 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, expect
-from tests.page.conftest import PATIENCE
+from tests.docs.lines import ROOT, Desk, Line, lines, make_serve
+from tests.page.conftest import PATIENCE, log_in
 
 pytestmark = pytest.mark.page
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def command() -> list[str]:
-    shown = subprocess.run(
-        ["make", "--dry-run", "--always-make", f"--directory={ROOT}", "serve"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    (line,) = (each for each in shown.replace("\\\n", " ").splitlines() if "veilcamd serve" in each)
-    words = shlex.split(line)[1:]
-    words[words.index("--port") + 1] = "0"
-    return [sys.executable, "-m", "veilcam_server", *words]
 
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[str]:
-    environment = {**os.environ, "VEILCAM_STATE_DIRECTORY": str(tmp_path / "state")}
-    with subprocess.Popen(
-        command(),
-        cwd=ROOT,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        try:
-            lines = (line for line in process.stdout if "listening on" in line)
-            yield next(lines).split()[-1]
-        finally:
-            process.terminate()
-            process.wait(60)
+    with Desk(tmp_path).serving(*make_serve()) as url:
+        yield url
 
 
 def test_a_label_changes_after_one_command_and_one_click(chromium: Browser, served: str) -> None:
@@ -66,3 +34,18 @@ def test_a_label_changes_after_one_command_and_one_click(chromium: Browser, serv
     page.goto(f"{served}/docs")
     expect(page.locator("article")).not_to_have_count(0)
     context.close()
+
+
+def test_first_token_of_readme_opens_the_page(chromium: Browser, tmp_path: Path) -> None:
+    first = Line("sudo veilcamd token first")
+    assert first in lines((ROOT / "README.md").read_text())
+    desk = Desk(tmp_path)
+    context = chromium.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    with desk.serving(*make_serve(), "--auth", "tokens") as url:
+        desk.run(first)
+        page.goto(url)
+        log_in(page, desk.said("TOKEN"))
+        expect(page.locator("output.label:not(.none)")).to_be_visible()
+        context.close()

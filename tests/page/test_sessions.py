@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect
-from tests.page.conftest import Daemon, Open, log_in
+from playwright.sync_api import Browser, expect
+from tests.page.conftest import PATIENCE, Daemon, Open, log_in
 
 pytestmark = pytest.mark.page
 
@@ -52,6 +53,32 @@ def test_the_token_is_given_once_and_kept_nowhere(open_page: Open, daemon: Daemo
     page.context.add_cookies([{"name": cookie["name"], "value": cookie["value"], "url": again}])
     page.reload()
     expect(page.get_by_label("Token")).to_be_visible()
+
+
+def test_two_cameras_of_one_host_do_not_disturb_each_other(
+    chromium: Browser, daemon: Daemon, tmp_path: Path
+) -> None:
+    second = Daemon(tmp_path)
+    second.start()
+    context = chromium.new_context()
+    try:
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        for camera in (daemon, second):
+            page.goto(camera.url)
+            expect(page.get_by_text("sudo veilcamd token first")).to_be_visible()
+            log_in(page, camera.token)
+            expect(page.get_by_role("heading", name="Live")).to_be_visible()
+            place = camera.url.removeprefix("http://")
+            expect(page).to_have_title(f"Live: {place}, Veilcam")
+            expect(page.locator("header")).to_contain_text(place)
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Token")).to_be_visible()
+        page.goto(daemon.url)
+        expect(page.get_by_role("heading", name="Live")).to_be_visible()
+    finally:
+        context.close()
+        second.stop()
 
 
 def test_a_session_that_ended_is_asked_for_again_in_the_same_place(

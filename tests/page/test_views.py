@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, Route, expect
-from tests.page.conftest import Daemon, Open, begin_calibration, confirm, end_calibration, log_in
+from tests.page.conftest import Daemon, Open, confirm, log_in
 
 from veilcam_client.wire.bundles import example_bundle
 from veilcam_client.wire.calibration import CalibrationRun
@@ -50,7 +50,7 @@ def test_calibration_asks_for_its_three_scenes_one_after_the_other(open_page: Op
 
     page = open_page()
     page.route(re.compile("/v1/calibration"), answer)
-    page.get_by_role("link", name="Calibration").click()
+    page.get_by_role("link", name="Calibrate").click()
     expect(
         page.get_by_text("Nothing yet: the camera is taken to be as it was drawn.")
     ).to_be_visible()
@@ -59,30 +59,19 @@ def test_calibration_asks_for_its_three_scenes_one_after_the_other(open_page: Op
         expect(page.get_by_text(f"Set the {scene}.")).to_be_visible()
         step = page.locator("[aria-current=step]")
         expect(step).to_have_text(re.compile(scene, re.IGNORECASE))
-        page.get_by_role("button", name="It is set").click()
+        page.get_by_role("button", name="Scene is set").click()
     expect(page.get_by_text("All is measured.")).to_be_visible()
     assert confirmed == list(SCENES)
-    expect(page.get_by_role("button", name="It is set")).to_have_count(0)
+    expect(page.get_by_role("button", name="Scene is set")).to_have_count(0)
     confirm(page, "End it")
     expect(page.get_by_text("The calibration was ended, and nothing was changed.")).to_be_visible()
-
-
-def test_a_calibration_of_the_simulated_camera_begins_and_ends(open_page: Open) -> None:
-    page = open_page("/#calibration")
-    begin_calibration(page)
-    expect(page.locator("#state")).to_have_text("Calibrating")
-    expect(page.get_by_text("Measuring. Leave the scene as it is.")).to_be_visible()
-    expect(page.get_by_text(re.compile(r"^\d+ of \d+ exposures$"))).to_be_visible()
-    confirm(page, "End it", "Cancel")
-    expect(page.get_by_role("dialog")).to_have_count(0)
-    end_calibration(page)
 
 
 def test_a_token_is_made_shown_once_used_and_revoked(open_page: Open) -> None:
     page = open_page("/#tokens")
     page.get_by_label("For whom or what").fill("hall lamp")
     page.get_by_label("Days that it lasts").fill("2")
-    page.get_by_role("button", name="Make it").click()
+    page.get_by_role("button", name="Make token").click()
     secret = page.locator(".secret")
     expect(secret).to_have_text(re.compile("^vc_[0-9a-f]{12}_[0-9a-f]{64}$"))
     made = secret.inner_text()
@@ -93,8 +82,11 @@ def test_a_token_is_made_shown_once_used_and_revoked(open_page: Open) -> None:
     other = open_page(known=False)
     log_in(other, made)
     expect(other.get_by_role("heading", name="Live")).to_be_visible()
-    other.get_by_role("link", name="Tokens").click()
-    expect(other.get_by_text("This token may not see or make tokens.")).to_be_visible()
+    # What only an owner may do stands in no list, and says so where it is gone to.
+    for name in ("Tokens", "Bundles", "Calibrate", "Log"):
+        expect(other.get_by_role("link", name=name, exact=True)).to_have_count(0)
+    other.goto(f"{other.url}#tokens")
+    expect(other.get_by_text("yours lacks the scope admin:tokens")).to_be_visible()
 
     confirm(page, "Revoke hall lamp", "Revoke")
     expect(page.get_by_role("button", name="Revoke hall lamp")).to_have_count(0)
@@ -108,7 +100,7 @@ def test_the_privacy_card_is_a_table(open_page: Open, daemon: Daemon) -> None:
     status["bundle"]["card"] = json.loads(example_bundle().model_dump_json())["card"]
     page = open_page("/#privacy")
     expect(page.get_by_text("These masks have no privacy card")).to_be_visible()
-    expect(page.get_by_text("Nobody is paired")).to_be_visible()
+    expect(page.get_by_text("Sealed to no receivers")).to_be_visible()
     page.route("**/v1/status", lambda route: route.fulfill(json=status))
     page.reload()
     row = page.get_by_role("row", name=re.compile("T1 ciphertext only"))
@@ -143,8 +135,8 @@ def test_log_says_what_left_and_who_changed_what(open_page: Open, daemon: Daemon
     token = daemon.make_token("no log", ("read:status",))
     other = open_page(known=False)
     log_in(other, token)
-    other.get_by_role("link", name="Log", exact=True).click()
-    expect(other.get_by_text("This token may not read the log.")).to_be_visible()
+    other.goto(f"{other.url}#log")
+    expect(other.get_by_text("yours lacks the scope read:log")).to_be_visible()
 
 
 def test_the_api_is_a_page_of_the_daemon(open_page: Open) -> None:
@@ -162,3 +154,26 @@ def test_the_api_is_a_page_of_the_daemon(open_page: Open) -> None:
     stranger = open_page("/docs", known=False)
     expect(stranger.get_by_role("alert")).to_have_text("Log in to read it: the camera")
     expect(stranger.locator("article")).to_have_count(0)
+
+
+def test_list_of_operations_follows_the_text(open_page: Open) -> None:
+    page = open_page("/docs")
+    operations, places = page.locator("article"), page.locator("#index a")
+    expect(operations).not_to_have_count(0)
+    expect(places).to_have_count(operations.count())
+    page.get_by_role("link", name="POST /v1/captures", exact=True).focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("article#capture h3")).to_be_in_viewport()
+    expect(page.locator("#index [aria-current]")).to_have_attribute("href", "#capture")
+    page.keyboard.press("End")
+    expect(places.last).to_have_attribute("aria-current", "true")
+    expect(places.last).to_be_in_viewport()
+    page.set_viewport_size({"width": 390, "height": 844})
+    expect(places.first).to_be_hidden()
+    page.locator("#index summary").focus()
+    page.keyboard.press("Enter")
+    expect(places.first).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(places.first).to_be_focused()
+    other = open_page("/docs#capture")
+    expect(other.locator("article#capture h3")).to_be_in_viewport()

@@ -6,6 +6,7 @@ import shlex
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -50,7 +51,9 @@ def collect_command(
     """
     if folder is None and (per_class is not None or viewer is not None):
         fail("--per-class and --viewer go with FOLDER", USAGE)
-    with ask.camera() as camera:
+    own = ask.profile
+    sealed = replace(own, key=None, device=None)  # opened when the key of each mask is kept as well
+    with replace(ask, profile=sealed).camera() as camera:
         show: Show = unaided
         if folder is None:
             shots: Iterator[Shot] = _by_hand(camera.status().bundle.labels)
@@ -61,7 +64,9 @@ def collect_command(
                 if viewer is None
                 else _viewed(shlex.split(viewer), pause)
             )
-        added = collect(camera, file, shots, show=show, key=key, device=device)
+        added = collect(
+            camera, file, shots, show=show, key=key or own.key, device=device or own.device
+        )
     found = {"added": added, "file": str(file)}
     ask.tell(found, f"{added} measurements more in {file}")
 

@@ -24,6 +24,7 @@ from veilcam_client.cli.format import (
     rotation_in_words,
     status_in_words,
 )
+from veilcam_client.cli.pair import pair
 from veilcam_client.cli.picture import in_blocks
 from veilcam_client.cli.terminal import (
     EXIT_CODES_HELP,
@@ -222,6 +223,7 @@ def record(
     ask.tell(found, f"wrote {count} captures to {out}, {size / 1e6:.1f} MB")
 
 
+app.command()(pair)
 app.command("collect")(collect_command)
 app.command()(calibrate)
 app.add_typer(bundles.app, name="bundle")

@@ -2,7 +2,6 @@
 
 import inspect
 import json as encoder
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +14,6 @@ import typer
 from pydantic import BaseModel
 
 from veilcam_client.camera import Camera
-from veilcam_client.cli.profiles import TOKEN, URL, environment, variables_of
 from veilcam_client.errors import (
     AccessError,
     ApiError,
@@ -32,6 +30,7 @@ from veilcam_client.errors import (
 )
 from veilcam_client.http.credentials import read_secret
 from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.profiles import Profile, profile_of
 from veilcam_client.wire.base import installed_version
 
 EXIT_CODES_HELP = (
@@ -63,24 +62,25 @@ P = ParamSpec("P")
 UrlOption = Annotated[
     str | None,
     typer.Option(
-        envvar=URL, help=f"http://HOST:PORT or unix:///PATH of the camera; {DEFAULT_URL} otherwise."
+        help="http://HOST:PORT or unix:///PATH of the camera; that in VEILCAM_URL, of the default "
+        f"profile or {DEFAULT_URL} otherwise."
     ),
 ]
 ProfileOption = Annotated[
     str | None,
     typer.Option(
-        envvar="VEILCAM_PROFILE",
-        help="Camera of this name in veilcam/config.toml, instead of --url, VEILCAM_URL, "
-        "VEILCAM_TOKEN and VEILCAM_CA_FILE.",
+        help="Camera of this name in veilcam/config.toml, or in VEILCAM_PROFILE, instead of --url, "
+        "VEILCAM_URL, VEILCAM_TOKEN and VEILCAM_CA_FILE.",
     ),
 ]
 TokenFileOption = Annotated[
-    Path | None, typer.Option(envvar="VEILCAM_TOKEN_FILE", help="File of the token.")
+    Path | None,
+    typer.Option(help="File of the token; that in VEILCAM_TOKEN_FILE otherwise."),
 ]
 TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
 KeyOption = Annotated[
     Path | None,
-    typer.Option(help="Private key of a receiver, which opens sealed embeddings."),
+    typer.Option(help="Private key of a receiver, for sealed embeddings; that of the profile."),
 ]
 DeviceOption = Annotated[
     str | None,
@@ -93,13 +93,15 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 class Ask:
     """Camera that a command asks, and the form of what it prints."""
 
+    profile: Profile
     timeout: float
     json: bool
 
     @contextmanager
     def camera(self, *, key: Path | None = None, device: str | None = None) -> Iterator[Camera]:
         """Yield the camera; exits with the code of what goes wrong."""
-        with errors(), Camera(read_timeout=self.timeout, key=key, device=device) as camera:
+        own, timeout = self.profile, self.timeout
+        with errors(), Camera(profile=own, read_timeout=timeout, key=key, device=device) as camera:
             yield camera
 
     def __call__(
@@ -134,9 +136,8 @@ def asking(
         def run(**given: Any) -> None:
             common = {name: given.pop(name) for name in _COMMON}
             with errors():
-                variables = camera_of(common["url"], common["profile"], common["token_file"])
-            with environment(variables):
-                command(Ask(common["timeout"], common["json"]), **given)  # type: ignore[call-arg]
+                found = camera_of(common["url"], common["profile"], common["token_file"])
+            command(Ask(found, common["timeout"], common["json"]), **given)  # type: ignore[call-arg]
 
         made = [
             Parameter(
@@ -166,23 +167,11 @@ _COMMON: Mapping[str, tuple[Any, Any]] = {
 
 
 def camera_of(
-    url: str | None, profile: str | None, token_file: Path | None
-) -> dict[str, str | None]:
-    """Return the variables by which ``Camera()`` finds the camera of these options.
-
-    A profile counts as a whole: no token reaches another camera than that which it is for.
-
-    Raises:
-        ValueError: options that do not fit, or a file that cannot be used.
-    """
-    if profile is not None and url not in (None, os.environ.get(URL)):
-        raise ArgumentError(f"give --url or the profile {profile!r}, not both")
-    variables = {} if profile is None else variables_of(profile)
-    if profile is None and url is not None:
-        variables[URL] = url
-    if token_file is not None:
-        variables[TOKEN] = read_secret(token_file)
-    return variables
+    url: str | None, profile: str | None, token_file: Path | None, *, local: str = DEFAULT_URL
+) -> Profile:
+    """Return the camera of these options; raises ArgumentError as :func:`profile_of`."""
+    token = None if token_file is None else read_secret(token_file)
+    return profile_of(url, profile, local=local, token=token)
 
 
 def version_of(command: str) -> Callable[[bool], None]:

@@ -3,10 +3,13 @@
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from veilcam_client.wire.tokens import SCOPES, Token
+from veilcam_client.wire.tokens import ROLES, SCOPES, Token
 
 SCOPE_HELP = f"What it allows; give it several times. One of {', '.join(SCOPES)}."
 """Help of the option ``--scope``."""
+
+ROLE_HELP = f"Role of the token: {', '.join(ROLES)}."
+"""Help of the option ``--role``."""
 
 
 def unknown_scopes(scopes: Iterable[str]) -> str | None:
@@ -21,8 +24,8 @@ def unknown_scopes(scopes: Iterable[str]) -> str | None:
 def token_in_words(token: Token) -> str:
     """Return a token in two lines."""
     used = f"used {token.last_used_on}" if token.last_used_on else "never used"
-    scopes = " ".join(token.scopes)
-    return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{scopes}"
+    allowed = token.role or " ".join(token.scopes)
+    return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{allowed}"
 
 
 def _validity(token: Token) -> str:

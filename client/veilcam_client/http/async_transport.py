@@ -11,7 +11,7 @@ import httpx
 from pydantic import BaseModel
 
 from veilcam_client.arguments import of_type
-from veilcam_client.errors import VeilcamError
+from veilcam_client.errors import ArgumentError, VeilcamError
 from veilcam_client.http.answers import (
     Body,
     Received,
@@ -37,6 +37,10 @@ class AsyncTransport:
     def __init__(self, options: Options, client: httpx.AsyncClient | None = None) -> None:
         if client is not None:
             of_type("http_client", client, httpx.AsyncClient, "an httpx.AsyncClient")
+            if options.credentials.certificate is not None:
+                raise ArgumentError(
+                    "http_client checks no certificate of a profile: give no client"
+                )
         self.options: Options = options
         self._run: str | None = None
         self._holder = ClientHolder(client, lambda: async_own_client(options), async_place)

@@ -188,11 +188,6 @@ class Attempts:
         return pause
 
 
-def address(url: str | None) -> str:
-    """``url``, or that in ``VEILCAM_URL``, or that of a daemon on this machine."""
-    return (os.environ.get("VEILCAM_URL") or DEFAULT_URL) if url is None else url
-
-
 def follow_environment() -> None:
     """Write the log of the SDK to the terminal, if ``VEILCAM_LOG`` is ``debug`` or ``info``.
 

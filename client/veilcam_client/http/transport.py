@@ -11,7 +11,7 @@ import httpx
 from pydantic import BaseModel
 
 from veilcam_client.arguments import of_type
-from veilcam_client.errors import VeilcamError
+from veilcam_client.errors import ArgumentError, VeilcamError
 from veilcam_client.http.answers import (
     Body,
     Received,
@@ -37,6 +37,10 @@ class Transport:
     def __init__(self, options: Options, client: httpx.Client | None = None) -> None:
         if client is not None:
             of_type("http_client", client, httpx.Client, "an httpx.Client")
+            if options.credentials.certificate is not None:
+                raise ArgumentError(
+                    "http_client checks no certificate of a profile: give no client"
+                )
         self.options: Options = options
         self._run: str | None = None
         self._holder = ClientHolder(client, lambda: own_client(options), place)

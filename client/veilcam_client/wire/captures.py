@@ -92,7 +92,8 @@ class SealedEmbedding(ArrayAnswer):
     def array(self) -> Float32:
         """As :meth:`ArrayAnswer.array`."""
         raise SealedError(
-            "this embedding is sealed: give the private key of a receiver, Camera(key=...) or --key"
+            "this embedding is sealed: run veilcam pair, or give the private key of a receiver, "
+            "Camera(key=...) or --key"
         )
 
     def __getitem__(self, key: Any) -> Any:

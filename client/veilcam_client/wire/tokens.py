@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from datetime import datetime
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
 
@@ -26,21 +27,52 @@ Scope = Literal[
 ]
 """One thing that a token allows. None contains another."""
 SCOPES: tuple[Scope, ...] = get_args(Scope)
+Role = Literal["viewer", "operator", "owner"]
+"""Role of a person: a name for a set of scopes. Each contains the one before it."""
+_VIEWER: tuple[Scope, ...] = ("read:status", "classify")
+_OPERATOR: tuple[Scope, ...] = (*_VIEWER, "mask:rotate", "read:embedding")
+ROLES: Mapping[Role, tuple[Scope, ...]] = {
+    "viewer": _VIEWER,
+    "operator": _OPERATOR,
+    "owner": SCOPES,
+}
+"""Scopes of each role. A viewer sees status, labels and the page, and may ask for a label. An
+operator also rotates masks, sets the watch and takes captures for receivers that are paired. An
+owner may do everything."""
 TOKENS_AT_ONCE = 100
 """In one answer, unless another number is asked for."""
 MOST_TOKENS = 1000
 """That one answer may have."""
 
 
+def role_of(scopes: Iterable[str]) -> Role | None:
+    """Return the role that has exactly these scopes; None where there is none."""
+    given = frozenset(scopes)
+    return next((role for role, its in ROLES.items() if given == frozenset(its)), None)
+
+
 class TokenRequest(Question):
-    """A token to be made."""
+    """A token to be made: of a role, or of scopes."""
 
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
     """For whom or what it is; it stands in the log."""
-    scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
-    """Scopes of the token."""
+    role: Role | None = None
+    """Role of the token; None where ``scopes`` are given."""
+    scopes: tuple[Scope, ...] = Field(default=(), max_length=len(SCOPES), strict=False)
+    """Scopes of the token; empty where a ``role`` is given."""
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
     """Time that it is valid [s]; None: until it is revoked."""
+
+    @model_validator(mode="after")
+    def _role_or_scopes(self) -> Self:
+        if (self.role is None) == (not self.scopes):
+            raise ValueError("give a role or scopes, one of the two")
+        return self
+
+    @property
+    def allowed(self) -> tuple[Scope, ...]:
+        """Scopes of the token, whichever way they are given."""
+        return self.scopes if self.role is None else ROLES[self.role]
 
 
 class Token(Answer):
@@ -50,6 +82,8 @@ class Token(Answer):
     """Name of the token, 12 hexadecimal digits."""
     label: str
     """For whom or what it is."""
+    role: str | None = None
+    """Role that has exactly these scopes; None: no role has."""
     scopes: tuple[str, ...]
     """Scopes of the token."""
     created_at: datetime
@@ -102,6 +136,7 @@ def _token() -> Token:
     return Token(
         id="0123456789ab",
         label="lamp",
+        role="viewer",
         scopes=("classify", "read:status"),
         created_at=EXAMPLE_TIME,
         expires_at=None,
@@ -118,7 +153,7 @@ def _session() -> Session:
 
 EXAMPLES = Examples(
     lambda: (
-        TokenRequest(label="lamp", scopes=("classify", "read:status"), seconds=86_400),
+        TokenRequest(label="lamp", role="viewer", seconds=86_400),
         _token(),
         NewToken(**_token().model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
         Tokens(tokens=(_token(),), next="0123456789ab"),

@@ -24,6 +24,7 @@ from veilcam_server.api.routes import (
     lease,
     log,
     page,
+    pairing,
     public,
     receivers,
     rotation,
@@ -46,8 +47,8 @@ _PASSING = (
 """Of what is done there a restart leaves nothing, or it is to switch the camera off: a full disk
 under the log stops none of it, and its line may be lost where the power is."""
 _ROUTES = (
-    *(captures, rotation, events, lease, log, tokens, receivers, diagnostics, calibration, bundles),
-    *(session, simulation, watch, public, page),
+    *(captures, rotation, events, lease, log, tokens, receivers, pairing, diagnostics, calibration),
+    *(bundles, session, simulation, watch, public, page),
 )
 
 
@@ -113,6 +114,7 @@ def create_app(
         admission=admission,
         metrics=metrics,
         open_paths=(*public.PATHS, *page.PATHS),
+        claim=pairing.CLAIM,
         passing=_PASSING,
         body=Body(MAX_BODY),
         sizes=app.state.sizes,

@@ -65,7 +65,7 @@ DEVICE = (
 # read. It stands here so that the OpenAPI document names the scheme and each route's scope.
 _BEARER = HTTPBearer(
     scheme_name="token",
-    description="A token from `veilcamd token create`, as `Authorization: Bearer vc_...`.",
+    description="A token from `veilcamd token`, as `Authorization: Bearer vc_...`.",
     auto_error=False,
 )
 

@@ -86,6 +86,7 @@ class RequestContext:
         metrics: Metrics,
         *,
         open_paths: Collection[str],
+        claim: str,
         passing: Collection[str],
         body: Body,
         uploads: Mapping[tuple[str, str], Body],
@@ -93,6 +94,7 @@ class RequestContext:
     ) -> None:
         self._app, self._admission, self._metrics = app, admission, metrics
         self._open_paths, self._body, self._uploads = open_paths, body, uploads
+        self._claim = claim
         self._passing, self._sizes = passing, sizes
         self._headers = security_headers(admission.site.frame_ancestors)
 
@@ -128,7 +130,9 @@ class RequestContext:
                         await Response(status_code=308, headers=to)(scope, receive, send_with_id)
                         return
                     # No limit: an answer that everybody gets costs no more than a refusal.
-                    if not self._is_open(scope):
+                    if (scope["method"], scope["path"]) == ("POST", self._claim):
+                        stack.enter_context(self._admission.claiming(peer))
+                    elif not self._is_open(scope):
                         admitted = self._admission.admitted(headers, peer)
                         state["caller"] = stack.enter_context(admitted)
                     body.require_media_type(headers)

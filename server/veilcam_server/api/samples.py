@@ -71,6 +71,10 @@ SAMPLES: Mapping[str, Sample] = {
         {"label": "archive", "key": "$RECEIVER_KEY"},
     ),
     "remove_receiver": Sample("camera.receivers.remove(receiver_id)"),
+    "offer_pairing": Sample(body={"role": "operator"}),
+    "claim_pairing": Sample(
+        body={"label": "laptop", "key": "$RECEIVER_KEY", "secret": "$SECRET"},
+    ),
     "status": Sample("camera.status()"),
     "diagnostics": Sample("camera.diagnostics()"),
     "privacy": Sample(),

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from veilcam_client import __version__
-from veilcam_server.cli import calibrate, doctor, privacy, serve, state, tokens
+from veilcam_server.cli import calibrate, doctor, pair, privacy, serve, state, tokens
 from veilcam_server.cli.terminal import JsonOption, enter_state, fail
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.environment import default_state_dir
@@ -29,6 +29,7 @@ app.command()(serve.serve)
 app.command()(doctor.doctor)
 app.command()(privacy.privacy)
 app.add_typer(tokens.app, name="token")
+app.command()(pair.pair)
 app.command()(calibrate.calibrate)
 for command in (state.backup, state.restore, state.wipe):
     app.command()(command)

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import getpass
 import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn, TypeAlias
 
 import typer
 from pydantic import ValidationError
 
-from veilcam_server.errors import StartError
+from veilcam_server.environment import default_state_dir
+from veilcam_server.errors import ProblemError, StartError
+
+if TYPE_CHECKING:
+    from veilcam_server.system.state_file import Report
+
+Note: TypeAlias = Callable[[Mapping[str, str]], None]
+"""Writes an action to the log, with the user."""
 
 StateDirOption = Annotated[
     Path | None, typer.Option(envvar="VEILCAM_STATE_DIR", help="That of 'veilcamd serve'.")
@@ -50,6 +59,36 @@ def enter_state(directory: Path) -> None:
         become_owner(directory)
         require_usable(directory)
     except StartError as error:
+        fail(str(error))
+
+
+@contextmanager
+def changing_state(state_dir: Path | None) -> Iterator[tuple[Path, Report, Note]]:
+    """Yield the state directory, what reports faults of it, and what writes to the log.
+
+    What cannot be done ends the program with a line.
+
+    Args:
+        state_dir: directory that was given; None: the default.
+    """
+    # Imported late: --help need not wait for them, and the folder's owner may not read them.
+    from veilcam_server.sealing.identity import DeviceKey  # noqa: PLC0415
+    from veilcam_server.security.log import FOLDER, Log  # noqa: PLC0415
+
+    directory = state_dir or default_state_dir()
+    user = getpass.getuser()  # before it is the folder's owner
+    enter_state(directory)
+
+    def report(fault: ProblemError) -> None:
+        typer.echo(str(fault), err=True)
+
+    def note(facts: Mapping[str, str]) -> None:
+        with closing(Log(directory / FOLDER, DeviceKey.open(directory))) as log:
+            log.append("command", {**facts, "user": user}, durable=True)
+
+    try:
+        yield directory, report, note
+    except (ProblemError, StartError) as error:
         fail(str(error))
 
 

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import getpass
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
-from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
+from veilcam_client.cli.token_words import ROLE_HELP, SCOPE_HELP, token_in_words, unknown_scopes
+from veilcam_client.wire.tokens import ROLES, Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import (
     USAGE,
     JsonOption,
     StateDirOption,
-    enter_state,
+    changing_state,
     fail,
     one_line,
 )
 from veilcam_server.environment import default_state_dir
-from veilcam_server.errors import ProblemError, StartError
 
 if TYPE_CHECKING:
     from veilcam_server.security.tokens import TokenStore
@@ -42,10 +41,8 @@ app = typer.Typer(
 def create(
     *,
     label: Annotated[str, typer.Option(help="For whom or what it is.")],
-    scope: Annotated[
-        list[str],
-        typer.Option(help=SCOPE_HELP),
-    ],
+    role: Annotated[str | None, typer.Option(help=ROLE_HELP)] = None,
+    scope: Annotated[list[str] | None, typer.Option(help=SCOPE_HELP)] = None,
     days: Annotated[
         float | None,
         typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
@@ -53,22 +50,40 @@ def create(
     state_dir: StateDirOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Make a token and print it. It is shown this once."""
+    """Make a token of a role or of scopes, and print it. It is shown this once."""
     seconds = None if days is None else round(86_400 * days)
     if seconds == 0:
         fail("--days: a token is valid for a second at least", USAGE)
-    unknown = unknown_scopes(scope)
+    unknown = unknown_scopes(scope or ())
     if unknown is not None:
         fail(unknown, USAGE)
     try:
         asked = TokenRequest.model_validate(
-            {"label": label, "scopes": tuple(scope), "seconds": seconds}
+            {"label": label, "role": role, "scopes": scope or (), "seconds": seconds}
         )
     except ValidationError as error:
         fail(one_line(error), USAGE)
     with _store(state_dir) as (store, note):
-        made = store.create(asked.label, asked.scopes, asked.seconds)
+        made = store.create(asked.label, asked.allowed, asked.seconds)
         note("token create", made)
+    typer.echo(made.model_dump_json() if json else made.secret)
+
+
+@app.command()
+def first(*, state_dir: StateDirOption = None, json: JsonOption = False) -> None:
+    """Make the first token of an owner and print it, on a terminal alone. It is shown this once."""
+    if not sys.stdout.isatty():
+        fail(
+            "the token would end up in a file or a log: run it in a terminal. A program makes one "
+            "with 'veilcamd token create --role owner --label NAME'",
+            USAGE,
+        )
+    directory = state_dir or default_state_dir()
+    if not directory.exists():
+        fail(f"there is no {directory}: start the daemon first, or give its --state-dir")
+    with _store(state_dir) as (store, note):
+        made = store.create("first owner", ROLES["owner"], first=True)
+        note("token first", made)
     typer.echo(made.model_dump_json() if json else made.secret)
 
 
@@ -85,7 +100,7 @@ def list_tokens(
         typer.echo(Tokens(tokens=tokens).model_dump_json())
         return
     if not tokens:
-        typer.echo("no tokens: make one with 'veilcamd token create'")
+        typer.echo("no tokens: make the first with 'veilcamd token first'")
         return
     for token in tokens:
         typer.echo(token_in_words(token))
@@ -109,22 +124,13 @@ def revoke(
 
 @contextmanager
 def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, Note]]:
-    # Imported late: --help need not wait for them, and the folder's owner may not read them.
-    from veilcam_server.sealing.identity import DeviceKey  # noqa: PLC0415
-    from veilcam_server.security.log import FOLDER, Log  # noqa: PLC0415
-    from veilcam_server.security.tokens import TokenStore  # noqa: PLC0415
+    from veilcam_server.security.tokens import TokenStore  # noqa: PLC0415 - --help need not wait
 
-    directory = state_dir or default_state_dir()
-    user = getpass.getuser()  # before it is the folder's owner
-    enter_state(directory)
-    try:
-        store = TokenStore(directory, report=lambda fault: typer.echo(str(fault), err=True))
-
-        def note(action: str, token: Token) -> None:
-            with closing(Log(directory / FOLDER, DeviceKey.open(directory))) as log:
-                said = {"action": action, "token": token.id, "label": token.label, "user": user}
-                log.append("command", said, durable=True)
-
-        yield store, note
-    except (ProblemError, StartError) as error:
-        fail(str(error))
+    with changing_state(state_dir) as (directory, report, write):
+        store = TokenStore(directory, report=report)
+        yield (
+            store,
+            lambda action, token: write(
+                {"action": action, "token": token.id, "label": token.label}
+            ),
+        )

@@ -146,7 +146,8 @@ class Pairing:
     """
 
     def __init__(self, store: ReceiverStore, device: str, renew: Callable[[], None]) -> None:
-        self._store, self._device, self._renew = store, device, renew
+        self.device = device
+        self._store, self._renew = store, renew
 
     @property
     def paired(self) -> tuple[PairedReceiver, ...]:
@@ -155,7 +156,7 @@ class Pairing:
 
     def all(self) -> Receivers:
         """Every receiver, and the device that seals to them."""
-        return Receivers(device=self._device, receivers=self.paired)
+        return Receivers(device=self.device, receivers=self.paired)
 
     async def add(self, question: ReceiverRequest) -> PairedReceiver:
         """Pair with a receiver.
@@ -165,18 +166,20 @@ class Pairing:
             ProblemError, StorageError: as
                 :meth:`ReceiverStore.add`.
         """
-        return await asyncio.to_thread(self._add, question)
+        return await asyncio.to_thread(self.add_now, question)
 
     async def remove(self, receiver_id: str) -> None:
         """Seal nothing more to a receiver; raises as :meth:`ReceiverStore.remove`."""
-        await asyncio.to_thread(self._remove, receiver_id)
+        await asyncio.to_thread(self.remove_now, receiver_id)
 
     # Each on one thread: who breaks off in between leaves no epoch of the receivers of before.
-    def _add(self, question: ReceiverRequest) -> PairedReceiver:
+    def add_now(self, question: ReceiverRequest) -> PairedReceiver:
+        """Pair with a receiver as :meth:`add`, on this thread."""
         made = self._store.add(question.label, parse_receiver(question.key))
         self._renew()
         return made
 
-    def _remove(self, receiver_id: str) -> None:
+    def remove_now(self, receiver_id: str) -> None:
+        """Seal nothing more to a receiver as :meth:`remove`, on this thread."""
         self._store.remove(receiver_id)
         self._renew()

@@ -19,6 +19,7 @@ from veilcam_server.errors import (
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.security.limits import ConcurrencyLimit, Lease, RateLimit
 from veilcam_server.security.log import Log
+from veilcam_server.security.pairing import PairingOffers
 from veilcam_server.security.sessions import HEADER, SessionStore
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import Caller, TokenStore
@@ -52,6 +53,7 @@ class Admission:
         settings: settings of the daemon, for its diagnostics: without paths, addresses and labels.
         sessions: sessions of pages in browsers; None where no tokens are wanted, and in tests.
         full_scores: True where scores are told in full, and not in tenths.
+        offers: offers to pair a receiver; None where embeddings never leave, and in tests.
     """
 
     tokens: TokenStore | None = None
@@ -72,6 +74,7 @@ class Admission:
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
     sessions: SessionStore | None = None
     full_scores: bool = False
+    offers: PairingOffers | None = None
 
     def require_log(self) -> None:
         """Raise :class:`StorageError` while what callers do cannot be written down."""
@@ -90,7 +93,7 @@ class Admission:
         """Write to the log what was done or refused.
 
         Args:
-            caller: None where there was no valid token.
+            caller: None where there was no valid token, or none was wanted.
             action: method and path.
             code: code of the problem in the answer, None where it went well.
             durable: True: the record is on the disk at return, or this raises.
@@ -104,7 +107,7 @@ class Admission:
             return
         who = {} if caller is None else {"caller": caller.id, "label": caller.label}
         outcome = {} if code is None else {"code": code}
-        kind: Kind = "refused" if caller is None else "request"
+        kind: Kind = "refused" if caller is None and code is not None else "request"
         facts: dict[str, str | int] = {"action": action, **outcome, **who, **details}
         self.log.append(kind, facts, durable=durable)
 
@@ -126,6 +129,19 @@ class Admission:
         with self.concurrency.held(caller.id):
             yield caller
 
+    @contextmanager
+    def claiming(self, peer: str) -> Iterator[None]:
+        """Count a claim of an offer, which has no token, as a failure of its address.
+
+        Before its secret is looked at: what is not looked at is no try, and need not be noted.
+
+        Raises:
+            ProblemError: too often, or too many at once.
+        """
+        self.rate.take(_failures(peer))
+        with self.concurrency.held(_failures(peer)):
+            yield
+
     def still_admits(self, headers: Headers) -> bool:
         """Return whether the token of a request that goes on is still valid."""
         if self.tokens is None:
@@ -143,7 +159,7 @@ class Admission:
             return self._known(self.tokens, headers)
         except UnauthorizedError:
             # Only failures count against an address: who guesses there locks nobody out.
-            self.rate.take(f"failures of {peer}")
+            self.rate.take(_failures(peer))
             raise
 
     def _known(self, tokens: TokenStore, headers: Headers) -> Caller:
@@ -155,9 +171,16 @@ class Admission:
         return tokens.caller(given[0] if len(given) == 1 else "")
 
 
+def _failures(peer: str) -> str:
+    return f"failures of {peer}"
+
+
 @contextmanager
 def open_admission(
-    settings: Settings, camera_log: Log | None = None, report: Report = log_fault
+    settings: Settings,
+    camera_log: Log | None = None,
+    report: Report = log_fault,
+    certificate: bytes | None = None,
 ) -> Iterator[Admission]:
     """Yield what stands in front of a daemon.
 
@@ -165,14 +188,18 @@ def open_admission(
         settings: settings of the daemon.
         camera_log: log of what callers do; None in tests.
         report: takes what was damaged of its state.
+        certificate: SHA-256 of the certificate that it serves; None: plain HTTP.
 
     Raises:
         StartError: the state directory cannot be used.
     """
     tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
     sessions = None if tokens is None else SessionStore(settings.state_dir, tokens, report)
+    offers = None
+    if settings.release != "none":
+        offers = PairingOffers(settings.state_dir, tokens, certificate, report)
     if tokens is not None and not tokens.tokens():
-        log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
+        log.warning("no tokens yet: nobody may ask until 'sudo veilcamd token first' made one")
     yield Admission(
         tokens,
         Site(settings.hosts, settings.serves_others, settings.frame_ancestors, settings.root_path),
@@ -184,4 +211,5 @@ def open_admission(
         settings=settings.redacted(),
         sessions=sessions,
         full_scores=settings.full_scores,
+        offers=offers,
     )

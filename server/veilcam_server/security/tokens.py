@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
-from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
+from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
 from veilcam_server.system.state_file import (
     Report,
@@ -58,7 +58,9 @@ class Caller:
         """Raise :class:`ProblemError` unless the caller has this scope."""
         if not self.may(scope):
             raise ProblemError(
-                "forbidden", f"this token lacks the scope {scope}: ask for one that has it"
+                "forbidden",
+                f"this token lacks the scope {scope}: ask for one of the role "
+                f"{next(role for role, its in ROLES.items() if scope in its)}",
             )
 
 
@@ -85,10 +87,16 @@ class _Row(BaseModel):
         """Since when it lets nobody in; inf while it may."""
         return min(time for time in (self.expires, self.revoked, float("inf")) if time is not None)
 
+    @property
+    def is_owner(self) -> bool:
+        """Return whether it has every scope."""
+        return set(self.scopes) >= set(ROLES["owner"])
+
     def public(self) -> Token:
         return Token(
             id=self.id,
             label=self.label,
+            role=role_of(self.scopes),
             scopes=self.scopes,
             created_at=_datetime(self.created),
             expires_at=None if self.expires is None else _datetime(self.expires),
@@ -142,7 +150,7 @@ class TokenStore:
         self._file = StateStore(
             directory / "tokens.json",
             _Tokens,
-            lost="nobody is let in until a token is made with 'veilcamd token create'",
+            lost="nobody is let in until 'veilcamd token first' makes a token",
             report=report,
         )
         self._version = self._file.version
@@ -157,15 +165,26 @@ class TokenStore:
         self._seen, self._since = held.seen, monotonic()
         self._note_from = -math.inf
 
-    def create(self, label: str, scopes: tuple[Scope, ...], lifetime: float | None) -> NewToken:
+    def create(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None = None,
+        *,
+        until: float | None = None,
+        first: bool = False,
+    ) -> NewToken:
         """Make a token.
 
         Args:
             label: label for people.
             scopes: scopes of the token.
             lifetime: lifetime [s], None for ever.
+            until: end, seconds since 1970, where no lifetime is given; None: never.
+            first: True: only where no valid token has all scopes.
 
         Raises:
+            ProblemError: there is an owner, and it was to be the first.
             StorageError: it cannot be written.
         """
         now, secret = self.now(), secrets.token_hex(32)
@@ -174,10 +193,21 @@ class TokenStore:
             label=label,
             scopes=tuple(sorted(set(scopes))),
             created=now,
-            expires=None if lifetime is None else now + lifetime,
+            expires=until if lifetime is None else now + lifetime,
             digest=_digest(secret),
         )
-        self._change(lambda held: _advanced(held, now, {**_current(held, now), row.id: row}))
+
+        def add(held: _Tokens) -> _Tokens:
+            owners = (each for each in held.tokens if now < each.ended and each.is_owner)
+            if first and (owner := next(owners, None)) is not None:
+                raise ProblemError(
+                    "conflict",
+                    f"token {owner.id} ({owner.label}) is an owner's: make more with 'veilcamd "
+                    "token create --role owner --label NAME', or revoke it if it is lost",
+                )
+            return _advanced(held, now, {**_current(held, now), row.id: row})
+
+        self._change(add)
         return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
 
     def tokens(self) -> tuple[Token, ...]:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import errno
 import ipaddress
 import os
+import re
 import resource
 import socket
 import stat
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import structlog
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import HeldDirectory, StateStore
 from veilcam_server.system.systemd import take_sockets
 
 BACKLOG = 2048
@@ -167,6 +170,63 @@ def peer_of(address: object) -> str:
     if isinstance(host, ipaddress.IPv4Address):
         return str(host)
     return str(host.ipv4_mapped or ipaddress.ip_network((host, 64), strict=False))
+
+
+class Listening(BaseModel):
+    """Record of where a daemon is reached, for the commands on its machine."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    urls: tuple[str, ...]
+    """URLs that it listens on."""
+    hosts: tuple[str, ...]
+    """Names that it answers to besides localhost and its addresses."""
+    certificate: str | None
+    """SHA-256 of the certificate that it serves; None: plain HTTP."""
+    pairs: bool
+    """False where embeddings never leave."""
+
+    @property
+    def place(self) -> str:
+        """HOST:PORT that other machines reach, if any does; or the path of a unix socket."""
+        url = min(self.urls, key=lambda each: each.startswith("unix:"))
+        if url.startswith("unix:"):
+            return url.removeprefix("unix://")
+        place = url.partition("://")[2]
+        host, _, port = place.rpartition(":")
+        if not ipaddress.ip_address(host.strip("[]")).is_unspecified:
+            return place
+        names = (re.sub(r":\d+$", "", name) for name in self.hosts)
+        return f"{next(names, None) or _own_address()}:{port}"
+
+
+def listening_record(directory: Path) -> StateStore[Listening]:
+    """Return the store of the record, in a daemon's state directory."""
+    return StateStore(directory / "listening.json", Listening, lost="restart the daemon")
+
+
+def running_daemon(directory: Path) -> Listening:
+    """Return where the daemon of a state directory listens.
+
+    Raises:
+        StartError: no daemon runs, or it does not listen yet.
+    """
+    record = listening_record(directory).read() if directory.is_dir() else None
+    if record is not None:
+        try:
+            HeldDirectory(directory).close()
+        except StartError:
+            return record
+    raise StartError(f"no daemon runs in {directory}: start it, or name its --state-dir")
+
+
+def _own_address() -> str:
+    """Return the address of this machine on the way to others; loopback where there is none."""
+    for family, far in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
+        with socket.socket(family, socket.SOCK_DGRAM) as one, suppress(OSError):
+            one.connect((far, 9))  # sends nothing
+            found = one.getsockname()[0]
+            return f"[{found}]" if ":" in found else found
+    return "127.0.0.1"
 
 
 def room_for(connections: int) -> tuple[int, int]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
+import ssl
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -16,11 +18,11 @@ from tests.unit.client.sealing import Device
 
 from veilcam_client import AsyncCamera, Camera
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire import bundles, lease, rotation, status, tokens, watch
+from veilcam_client.wire import bundles, lease, pairing, rotation, status, tokens, watch
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     type(each).__name__: each.model_dump(mode="json")
-    for room in (bundles, lease, rotation, status, tokens, watch)
+    for room in (bundles, lease, pairing, rotation, status, tokens, watch)
     for each in room.EXAMPLES
 }
 """Answers by the name of their model, as the OpenAPI document has them."""
@@ -85,6 +87,8 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
     ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": AT},
     ("GET", "/v1/log"): {"records": [], "next": None},
+    ("POST", "/v1/pairing"): EXAMPLES["PairingOffer"],
+    ("POST", "/v1/pairing/claim"): EXAMPLES["Paired"],
     ("GET", "/v1/receivers"): RECEIVERS,
     ("POST", "/v1/receivers"): RECEIVER,
     ("GET", "/v1/status"): STATUS,
@@ -160,6 +164,13 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+@pytest.fixture(autouse=True)
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's folder of settings, which has no profile."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    return tmp_path / "settings" / "veilcam"
+
+
 @pytest.fixture(params=[Camera, AsyncCamera])
 def kind(request: pytest.FixtureRequest) -> type:
     found: type = request.param
@@ -187,23 +198,29 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def serving(handler: type[Handler]) -> Iterator[str]:
+def serving(handler: type[Handler], tls: ssl.SSLContext | None = None) -> Iterator[str]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    if tls is not None:
+        server.socket = tls.wrap_socket(server.socket, server_side=True)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
+    yield f"{'http' if tls is None else 'https'}://127.0.0.1:{server.server_port}"
     server.shutdown()
     server.server_close()
     thread.join()
 
 
-@pytest.fixture
-def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def handler_of(daemon: Daemon) -> type[Handler]:
+    """Return what serves the answers of a daemon over HTTP."""
+
     class Asked(Handler):
         def handle_one(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
-            content = self.rfile.read(length)
-            answer = daemon(httpx.Request(self.command, f"http://x{self.path}", content=content))
+            content, headers = self.rfile.read(length), dict(self.headers)
+            asked = httpx.Request(
+                self.command, f"http://x{self.path}", content=content, headers=headers
+            )
+            answer = daemon(asked)
             self.send_response(answer.status_code)
             for name, value in answer.headers.items():
                 self.send_header(name, value)
@@ -212,6 +229,11 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
         do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
 
-    with serving(Asked) as address:
+    return Asked
+
+
+@pytest.fixture
+def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    with serving(handler_of(daemon)) as address:
         monkeypatch.setenv("VEILCAM_URL", address)
         yield address

@@ -99,6 +99,9 @@ def test_device_is_named(tmp_path: Path) -> None:
         ("receivers.add", {"label": "a"}, "key", (5, None, "", "private")),
         ("receivers.add", {"key": "veilcam-receiver:aaaa"}, "label", ("", 5)),
         ("receivers.remove", {}, "receiver_id", NO_NAMES),
+        ("receivers.offer", {}, "role", ("king", None, 5)),
+        ("receivers.claim", {"label": "a", "key": "veilcam-receiver:aaaa"}, "secret", ("0f", 5)),
+        ("tokens.create", {"label": "a"}, "role", ("king", None, 5)),
         (
             "simulation.hold_scene",
             {},

@@ -3,6 +3,8 @@
 // The page may lie under a path of a proxy, beside other cameras: all is asked from there on.
 const BASE = new URL("..", import.meta.url);
 const HALF = `veilcam-session${BASE.pathname.slice(0, -1)}`;
+// Name of this camera among others: host and port, and the path of a proxy.
+export const PLACE = `${location.host}${BASE.pathname.slice(0, -1)}`;
 // A stream is silent for no longer than this [ms]; heartbeats come every 30 s at the latest.
 const SILENCE = 45000;
 
@@ -49,9 +51,34 @@ async function send(method, path, { body, type, headers = {}, signal } = {}) {
   throw new Problem(problem);
 }
 
+// Uploads a file; `progress` takes the share that was sent. fetch tells no such share.
+export function upload(path, file, type, progress) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.open("POST", new URL(path.slice(1), BASE));
+    request.setRequestHeader("Content-Type", type);
+    if (half()) request.setRequestHeader("Veilcam-Session", half());
+    request.responseType = "json";
+    request.upload.addEventListener("progress", ({ loaded, total }) => progress(loaded / total));
+    request.addEventListener("load", () => {
+      const { status, response } = request;
+      if (status < 300 && response) resolve(response);
+      else reject(response?.code ? new Problem(response) : new Offline());
+    });
+    request.addEventListener("error", () => reject(new Offline()));
+    request.send(file);
+  });
+}
+
 export async function ask(method, path, options) {
   const answer = await send(method, path, options);
   return answer.status === 204 ? null : answer.json();
+}
+
+// The answer to a POST, and the camera's time of it [ms].
+export async function timed(path, body) {
+  const sent = await send("POST", path, { body });
+  return { answer: await sent.json(), at: Date.parse(sent.headers.get("Date")) || Date.now() };
 }
 
 export const get = (path, options) => ask("GET", path, options);

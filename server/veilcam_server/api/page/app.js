@@ -1,28 +1,36 @@
 // The page: logs in, follows what happens, and shows one view at a time.
 
-import { Offline, Problem, events, forget, get, logIn, logOut } from "./api.js";
+import { Offline, PLACE, Problem, events, forget, get, logIn, logOut } from "./api.js";
+import { bundlesView } from "./bundles.js";
 import { calibrationView } from "./calibration.js";
-import { button, card, field, form, h, say } from "./dom.js";
+import { button, card, empty, field, form, h, say } from "./dom.js";
 import { OFTEN, eventsView } from "./events.js";
 import { healthView } from "./health.js";
+import { createMemory } from "./history.js";
 import { liveView } from "./live.js";
 import { logView } from "./log.js";
 import { privacyView } from "./privacy.js";
+import { receiversView } from "./receivers.js";
 import { tokensView } from "./tokens.js";
 import { changes, withChange } from "./sights.js";
 import { STATES } from "./words.js";
 
 const KEPT = 200;
 const KEPT_OFTEN = 40;
+// Title, view, and the scope without which it is of no use.
 const VIEWS = {
   live: ["Live", liveView],
   health: ["Health", healthView],
-  calibration: ["Calibration", calibrationView],
+  receivers: ["Receivers", receiversView],
+  bundles: ["Bundles", bundlesView, "admin:bundles"],
+  calibrate: ["Calibrate", calibrationView, "calibrate"],
+  tokens: ["Tokens", tokensView, "admin:tokens"],
   privacy: ["Privacy", privacyView],
-  tokens: ["Tokens", tokensView],
   events: ["Events", eventsView],
-  log: ["Log", logView],
+  log: ["Log", logView, "read:log"],
 };
+// Looks are counted so often [ms], at fixed times: when it asks says nothing of what is seen.
+const COUNTED = 2000;
 // After these events the status is another one, or what it sees is.
 const TELLING = new Set(["state", "mask", "rotation", "bundle", "calibration", "capture", "gap"]);
 const WATCHED = new Set(["watch", "gap"]);
@@ -33,12 +41,9 @@ const notice = document.getElementById("notice");
 const pill = document.getElementById("state");
 
 // What the views share: who asks, the status, and what happened since the page was opened.
+const NOTHING = { session: null, status: null, statusAt: 0, watch: null, events: [], memory: null };
 const camera = {
-  session: null,
-  status: null,
-  statusAt: 0,
-  watch: null,
-  events: [],
+  ...NOTHING,
   may: (scope) => camera.session.scopes.includes(scope),
   refresh,
 };
@@ -46,6 +51,8 @@ let shown = null;
 let stale = false;
 let asked = 0;
 let told = 0;
+let counted = 0;
+say(document.getElementById("place"), PLACE);
 
 async function refresh() {
   asked += 1;
@@ -62,6 +69,7 @@ async function refresh() {
   if (number < told || !camera.session) return;
   told = number;
   Object.assign(camera, { status, watch, statusAt: performance.now() });
+  if (watch) camera.memory.count(watch.looks);
   update();
 }
 
@@ -78,6 +86,7 @@ function update(event = null) {
   const { state } = camera.status;
   say(pill, STATES[state] ?? state);
   pill.dataset.well = state === "ready" || state === "replay";
+  if (camera.watch?.activity === "looking") camera.memory.note(camera.watch.belief?.label ?? null);
   shown?.update(event);
 }
 
@@ -91,7 +100,11 @@ function take(event) {
   if (event.kind === "belief") {
     // What is seen is told, and nothing is asked for: who listens learns nothing from that.
     for (const each of changes(camera.watch?.history[0], event)) take(each);
-    if (camera.watch) camera.watch.belief = event.belief;
+    if (camera.watch) {
+      const { belief } = camera.watch;
+      if (event.belief && belief && event.belief.looks > belief.looks) camera.memory.looked();
+      camera.watch.belief = event.belief;
+    }
     update(event);
     return;
   }
@@ -103,6 +116,14 @@ function take(event) {
     camera.events.splice(camera.events.lastIndexOf(alike.at(-1)), 1);
   }
   camera.events.unshift(event);
+  if (event.kind === "state") camera.status.state = event.state;
+  if (event.kind === "classification") {
+    camera.memory.looked();
+    if (camera.watch?.activity !== "looking") {
+      camera.memory.note(event.label, Date.now(), Date.now() + 1000);
+      camera.memory.pause();
+    }
+  }
   if (TELLING.has(event.kind)) stale = true;
   if (WATCHED.has(event.kind)) refresh().catch(() => {});
   else update(event);
@@ -130,6 +151,7 @@ async function follow() {
         return;
       }
       main.setAttribute("aria-busy", "true");
+      camera.memory.pause();
       if (error instanceof Problem && error.status < 500) warn(error.message);
       else warn("The daemon does not answer. This page goes on as soon as it does.");
     }
@@ -141,23 +163,30 @@ async function follow() {
 // Times go by; and what an event made stale is fetched anew, once a second at most.
 setInterval(() => {
   if (!camera.status || !shown) return;
-  if (stale && !document.hidden) refresh().catch(() => {});
+  const due = performance.now() - counted >= COUNTED;
+  if (due) counted = performance.now();
+  if ((stale || due) && !document.hidden) refresh().catch(() => {});
   else shown.tick?.();
 }, 1000);
 
 function show() {
   const wanted = location.hash.slice(1);
   const name = wanted in VIEWS ? wanted : "live";
-  const [title, make] = VIEWS[name];
+  const [title, make, scope] = VIEWS[name];
   shown?.close?.();
-  shown = make(camera);
-  document.title = `${title}: Veilcam`;
+  shown = !scope || camera.may(scope) ? make(camera) : refused(title, scope);
+  document.title = `${title}: ${PLACE}, Veilcam`;
   for (const link of nav.querySelectorAll("a")) {
     if (link.hash === `#${name}`) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
   main.replaceChildren(h("h1", {}, title), ...shown.elements);
   shown.update(null);
+}
+
+function refused(title, scope) {
+  const text = `This needs a token of an owner; yours lacks the scope ${scope}.`;
+  return { elements: [card(title, empty(text))], update() {} };
 }
 
 addEventListener("hashchange", () => {
@@ -168,11 +197,13 @@ addEventListener("hashchange", () => {
 });
 
 async function begin(session) {
-  camera.session = session;
+  Object.assign(camera, { session, memory: createMemory() });
   main.setAttribute("aria-busy", "true");
   await refresh();
   nav.replaceChildren(
-    ...Object.entries(VIEWS).map(([name, [title]]) => h("a", { href: `#${name}` }, title)),
+    ...Object.entries(VIEWS)
+      .filter(([, [, , scope]]) => !scope || camera.may(scope))
+      .map(([name, [title]]) => h("a", { href: `#${name}` }, title)),
   );
   if (session.tokens) {
     nav.append(button("Log out", () => logOut().then(() => location.reload()), { plain: true }));
@@ -188,25 +219,22 @@ function ended() {
 }
 
 function showLogIn(reason = "") {
-  camera.session = null;
+  // Who logs in next is told nothing of what the one before saw.
+  Object.assign(camera, NOTHING, { events: [] });
   main.removeAttribute("aria-busy");
   shown?.close?.();
   shown = null;
   nav.hidden = true;
   say(pill, "");
-  document.title = "Log in: Veilcam";
+  document.title = `Log in: ${PLACE}, Veilcam`;
   warn("");
   const token = h("input", {
-    name: "token",
-    type: "password",
-    autocomplete: "current-password",
-    required: true,
-    spellcheck: "false",
+    name: "token", type: "password", autocomplete: "current-password", required: true, spellcheck: "false",
   });
   main.replaceChildren(
     h("h1", {}, "Log in"),
     card(
-      "Who asks?",
+      `Camera ${PLACE}`,
       reason ? h("p", { role: "alert" }, reason) : null,
       form(
         {},
@@ -226,7 +254,11 @@ function showLogIn(reason = "") {
         field(
           "Token",
           token,
-          "The command “veilcamd token create” makes one. It is not kept in this browser.",
+          [
+            "The owner of this camera makes one on the page, under Tokens. The first one is made on the camera, by ",
+            h("code", {}, "sudo veilcamd token first"),
+            ". It is not kept in this browser.",
+          ],
         ),
         h("button", { type: "submit" }, "Log in"),
       ),

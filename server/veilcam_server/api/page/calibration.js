@@ -1,10 +1,16 @@
 // Calibration as a wizard: three scenes, each set by a person, and what was found.
 
 import { get, post, remove } from "./api.js";
-import { button, card, columns, confirmed, empty, field, form, h, say } from "./dom.js";
-import { day } from "./words.js";
+import { button, card, columns, confirmed, empty, facts, field, fold, form, h, say } from "./dom.js";
+import { day, duration } from "./words.js";
 
-const SCENES = ["dark", "white card", "lamp"];
+const SCENES = {
+  dark: "the camera is covered, so that no light gets in.",
+  "white card": "a white card, evenly lit, fills what the camera sees.",
+  lamp: "a lamp behind a small hole in black card, and no other light.",
+};
+const NAMES = Object.keys(SCENES);
+const upper = (name) => name[0].toUpperCase() + name.slice(1);
 const ENDED = new Set(["done", "failed", "cancelled"]);
 const SAID = {
   done: "The camera is calibrated. What was found is used from now on, and after a restart.",
@@ -15,35 +21,50 @@ const SAID = {
 export function calibrationView(camera) {
   const place = h("div", {});
   const record = h("div", {});
+  const paced = { before: null, exposures: 0, spent: 0 };
   let stage = null;
 
+  // Time that exposures still take, by those so far; setting the scenes is not counted.
+  function left(run) {
+    const [at, { before }] = [performance.now(), paced];
+    if (before && before.stage === "measuring" && run.exposures > before.exposures) {
+      paced.exposures += run.exposures - before.exposures;
+      paced.spent += at - before.at;
+    }
+    if (!before || before.stage !== run.stage || before.exposures !== run.exposures) paced.before = { ...run, at };
+    const taken = `${run.exposures} of ${run.total} exposures`;
+    if (!paced.exposures) return taken;
+    const seconds = ((run.total - run.exposures) * paced.spent) / paced.exposures / 1000;
+    return `${taken}, about ${duration(seconds)} left`;
+  }
+
   function begin(told) {
+    const { simulated } = camera.status.device;
     const repeats = h("input", {
       name: "repeats", type: "number", min: "1", max: "100", required: true, value: "2",
     });
     return card(
       "Measure the camera",
       told,
-      h(
-        "p",
+      h("p", {}, "This is the first job of a real camera: without it, the camera is taken to be as it was drawn. It is measured before three scenes, and takes no captures meanwhile."),
+      h("ol", { class: "scenes" }, NAMES.map((name) => h("li", {}, h("b", {}, upper(name)), `: ${SCENES[name]}`))),
+      h("p", { class: "note" }, simulated
+        ? "This camera is simulated, and sets the scenes by itself."
+        : "Have card and lamp at hand. Sizes and distances are told when a scene is due; it waits for you up to 10 minutes."),
+      form(
         {},
-        "The camera is measured with itself, before three scenes: in the dark, before a white card, and before a lamp. It takes no captures meanwhile.",
+        async (values) => {
+          Object.assign(paced, { before: null, exposures: 0, spent: 0 });
+          draw(await post("/v1/calibration", { repeats: Number(values.get("repeats")) }));
+        },
+        fold("How exact", field("Exposures for one measurement", repeats, "More take longer, and are more exact.")),
+        h("button", { type: "submit" }, "Begin"),
       ),
-      camera.may("calibrate")
-        ? form(
-            {},
-            async (values) => {
-              draw(await post("/v1/calibration", { repeats: Number(values.get("repeats")) }));
-            },
-            field("Exposures for one measurement", repeats),
-            h("button", { type: "submit" }, "Begin"),
-          )
-        : empty("This token may not calibrate."),
     );
   }
 
   function steps(run) {
-    const present = SCENES.indexOf(run.scene);
+    const present = NAMES.indexOf(run.scene);
     const bar = h("progress", {
       max: String(run.total), value: String(run.exposures), "aria-label": "Exposures taken",
     });
@@ -57,35 +78,33 @@ export function calibrationView(camera) {
       h(
         "ol",
         { class: "steps" },
-        SCENES.map((name, index) => {
+        NAMES.map((name, index) => {
           const done = run.stage === "fitting" || index < present;
           return h(
             "li",
             { "aria-current": index === present ? "step" : null, class: done ? "done" : null },
-            name[0].toUpperCase() + name.slice(1),
+            upper(name),
             done ? h("span", { class: "hidden" }, ", done") : null,
           );
         }),
       ),
       h("p", { class: "instruction", role: "status" }, doing),
       bar,
-      h("p", { class: "note" }, `${run.exposures} of ${run.total} exposures`),
-      camera.may("calibrate")
-        ? h(
-            "p",
-            { class: "row" },
-            run.stage === "waiting"
-              ? button("It is set", async () => {
-                  draw(await post("/v1/calibration/scene", { scene: run.scene }));
-                })
-              : null,
-            button("End it", async () => {
-              if (await confirmed("End the calibration? Nothing will be changed.", "End it")) {
-                draw(await remove("/v1/calibration"));
-              }
-            }, { plain: true }),
-          )
-        : null,
+      h("p", { class: "note" }, left(run)),
+      h(
+        "p",
+        { class: "row" },
+        run.stage === "waiting"
+          ? button("Scene is set", async () => {
+              draw(await post("/v1/calibration/scene", { scene: run.scene }));
+            })
+          : null,
+        button("End it", async () => {
+          if (await confirmed("End the calibration? Nothing will be changed.", "End it")) {
+            draw(await remove("/v1/calibration"));
+          }
+        }, { plain: true }),
+      ),
     );
   }
 
@@ -94,7 +113,7 @@ export function calibrationView(camera) {
     const bar = place.querySelector("progress");
     if (!bar) return;
     bar.value = run.exposures;
-    say(place.querySelector(".note"), `${run.exposures} of ${run.total} exposures`);
+    say(place.querySelector(".note"), left(run));
   }
 
   function draw(run) {
@@ -136,7 +155,7 @@ export function calibrationView(camera) {
     record.replaceChildren(
       card(
         "What is known",
-        h("dl", { class: "facts" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+        facts(rows),
       ),
     );
   }

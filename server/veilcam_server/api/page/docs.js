@@ -1,10 +1,13 @@
 // The API as a page: the OpenAPI document of this daemon, one card for each subject.
 
 import { Problem, get } from "./api.js";
-import { card, h, say } from "./dom.js";
+import { card, facts, fold, h, say } from "./dom.js";
 
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
+const index = document.getElementById("index");
+const WIDE = matchMedia("(min-width: 56rem)");
+const READ = 96; // An operation is read once its top is so near to the window's [px].
 const METHODS = ["get", "put", "post", "delete"];
 
 // Only what this document has: code between backquotes, and plain text.
@@ -48,23 +51,12 @@ function operation(method, path, found) {
 
 function parameters(found) {
   if (!found.length) return null;
-  return h(
-    "dl",
-    { class: "facts" },
-    found.map((each) =>
-      h("div", {}, h("dt", {}, h("code", {}, each.name)), h("dd", {}, `${each.in}${each.required ? ", required" : ""}`)),
-    ),
-  );
+  return facts(found.map((each) => [h("code", {}, each.name), `${each.in}${each.required ? ", required" : ""}`]));
 }
 
 function problems(responses) {
   const bad = Object.entries(responses).filter(([status]) => status >= "400");
-  return h(
-    "details",
-    {},
-    h("summary", {}, "What can go wrong"),
-    h("dl", { class: "facts" }, bad.map(([status, { description }]) => h("div", {}, h("dt", {}, status), h("dd", {}, description)))),
-  );
+  return fold("What can go wrong", facts(bad.map(([status, { description }]) => [status, description])));
 }
 
 function draw(found) {
@@ -85,9 +77,44 @@ function draw(found) {
   );
 }
 
+// A list of all operations by subject: beside the text, or folded above it where there is no room.
+function list() {
+  const groups = [...main.querySelectorAll(".subject")].map((subject) => [
+    h("h2", {}, subject.querySelector("h2").textContent),
+    h("ul", {}, [...subject.querySelectorAll("article")].map(({ id }) => {
+      const [method, path] = document.querySelectorAll(`#${id} h3 code`);
+      return h("li", {}, h("a", { href: `#${id}` }, h("span", {}, method.textContent), " ", path.textContent));
+    })),
+  ]);
+  const folded = fold("Operations", groups.flat());
+  folded.open = WIDE.matches;
+  WIDE.addEventListener("change", () => { folded.open = WIDE.matches; });
+  index.replaceChildren(folded);
+  addEventListener("scroll", follow, { passive: true });
+  document.getElementById(location.hash.slice(1))?.scrollIntoView();
+  follow();
+}
+
+// Marks the operation that is read. What stands last cannot come up to the top: there the chosen one counts.
+function follow() {
+  const all = [...main.querySelectorAll("article")];
+  const read = all.findLast((each) => each.getBoundingClientRect().top <= READ) ?? all[0];
+  const ends = innerHeight + scrollY >= document.documentElement.scrollHeight - 1;
+  const below = ends ? all.slice(all.indexOf(read) + 1) : [];
+  const { id } = below.find((each) => location.hash === `#${each.id}`) ?? below.at(-1) ?? read;
+  const link = index.querySelector(`[href="#${id}"]`);
+  const before = index.querySelector("[aria-current]");
+  if (link === before) return;
+  before?.removeAttribute("aria-current");
+  link.setAttribute("aria-current", "true");
+  // The list alone is moved, where it stands beside the text.
+  if (WIDE.matches) index.scrollTop = link.offsetTop - index.clientHeight / 2;
+}
+
 async function open() {
   try {
     draw(await get("/v1/openapi.json"));
+    list();
   } catch (error) {
     main.replaceChildren(h("h1", {}, "The API"));
     notice.hidden = false;

@@ -18,8 +18,10 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+let cards = 0;
+
 export function card(title, ...children) {
-  const id = `card-${title.toLowerCase().replaceAll(/[^a-z]+/g, "-")}`;
+  const id = `card-${(cards += 1)}`;
   return h("section", { class: "card", "aria-labelledby": id }, h("h2", { id }, title), ...children);
 }
 
@@ -84,6 +86,41 @@ export function field(label, input, note = null) {
   return h("div", { class: "field" }, h("label", { for: input.id }, label), input, told);
 }
 
+// A secret that is shown once, with a button that copies it.
+export function secretLine(text, words) {
+  const line = h("code", {}, text);
+  const told = h("p", { class: "note", role: "status" });
+  const copy = button("Copy", async () => {
+    // Browsers let pages that came by plain HTTP from another machine copy nothing by themselves.
+    if (navigator.clipboard) await navigator.clipboard.writeText(text);
+    else getSelection().selectAllChildren(line);
+    say(told, navigator.clipboard ? "Copied." : "It is selected: copy it with the keyboard.");
+  });
+  return { elements: [h("p", {}, words), h("p", { class: "secret" }, line), told], copy };
+}
+
+export const facts = (pairs) =>
+  h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
+
+export const fold = (title, ...children) => h("details", {}, h("summary", {}, title), ...children);
+
+// A choice among few, of value, text and note: buttons, so that Tab and Space are all that it takes.
+export function pick(legend, name, chosen, options, changed = () => {}) {
+  const input = h("input", { type: "hidden", name, value: chosen });
+  const buttons = options.map(([value, text]) =>
+    h("button", { type: "button", class: "plain", "aria-pressed": String(value === chosen), onclick: press(value) }, text),
+  );
+  function press(value) {
+    return ({ currentTarget }) => {
+      input.value = value;
+      for (const each of buttons) each.setAttribute("aria-pressed", each === currentTarget);
+      changed(value);
+    };
+  }
+  const rows = options.map(([, , note], index) => h("div", { class: "pick" }, buttons[index], note && h("span", { class: "note" }, note)));
+  return h("fieldset", {}, h("legend", {}, legend), input, rows);
+}
+
 // Asks before what cannot be taken back.
 export function confirmed(question, yes) {
   return new Promise((resolve) => {
@@ -95,11 +132,7 @@ export function confirmed(question, yes) {
         "p",
         { class: "row" },
         h("button", { type: "button", onclick: () => dialog.close("yes") }, yes),
-        h(
-          "button",
-          { type: "button", class: "plain", autofocus: true, onclick: () => dialog.close("") },
-          "Cancel",
-        ),
+        h("button", { type: "button", class: "plain", autofocus: true, onclick: () => dialog.close("") }, "Cancel"),
       ),
     );
     dialog.addEventListener("close", () => {

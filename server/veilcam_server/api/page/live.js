@@ -1,18 +1,18 @@
 // Live: what the camera sees, the mask, the embedding, and on a simulator the scene.
 
 import { post, put } from "./api.js";
-import { button, card, columns, empty, field, form, h, say } from "./dom.js";
+import { button, card, columns, empty, facts, field, fold, form, h, pick, say } from "./dom.js";
 import { pictureOf } from "./embedding.js";
+import { historyCard } from "./history.js";
 import { sceneCards } from "./scene.js";
-import { activityText, clock, duration, next, percent, policyText } from "./words.js";
+import { activityText, duration, isOpaque, isResting, next, policyText, sureText } from "./words.js";
 
-const KEPT = 12;
 // A recording has no watch of its own.
-const REPLAYED = { activity: "on_request", detail: null, policy: {}, history: [] };
+const REPLAYED = { activity: "on_request", detail: null, policy: {} };
 
 export function liveView(camera) {
   const groups = [
-    [labelCard(camera)],
+    [labelCard(camera), ...(camera.may("classify") ? [historyCard(camera)] : [])],
     [maskCard(camera), ...(camera.may("read:embedding") ? [embeddingCard(camera)] : [])],
     sceneCards(camera),
   ];
@@ -27,11 +27,10 @@ export function liveView(camera) {
 
 function labelCard(camera) {
   const label = h("output", { class: "label", "aria-live": "polite" });
-  const since = h("p", { class: "note" });
+  const since = h("p", {});
   const how = h("p", { class: "note", role: "status" });
-  const history = h("ol", { class: "history", "aria-label": "Seen before" });
+  const [rate, last, captures] = ["", "", ""].map(() => h("span", {}));
   let asked = null;
-  let listed = "";
   const look = button("Look once", async () => {
     asked = await post("/v1/classifications");
     draw();
@@ -39,54 +38,60 @@ function labelCard(camera) {
 
   // By itself it believes; where it is asked, it says what that one look gave.
   function present() {
+    if (isOpaque(camera)) return null;
     const belief = camera.watch?.belief;
     if (belief) return { ...belief, at: belief.since };
-    const [last] = camera.events.filter((event) => event.kind === "classification");
+    const [newest] = camera.events.filter((event) => event.kind === "classification");
     // The answer may be here before its event.
-    if (asked && (!last || new Date(last.at) < new Date(asked.taken_at))) {
+    if (asked && (!newest || new Date(newest.at) < new Date(asked.taken_at))) {
       return { ...asked, at: asked.taken_at };
     }
-    if (!last) return null;
-    const own = asked?.id.startsWith(last.capture) ? asked : null;
-    return { label: last.label, confidence: own?.confidence ?? null, at: last.at };
+    if (!newest) return null;
+    const own = asked?.id.startsWith(newest.capture) ? asked : null;
+    return { label: newest.label, confidence: own?.confidence ?? null, at: newest.at };
   }
 
   function draw() {
-    const { activity, detail, policy, history: before } = camera.watch ?? REPLAYED;
+    const { activity, detail, policy } = camera.watch ?? REPLAYED;
     const now = present();
     const word = now === null ? "–" : (now.label ?? "Nothing that it knows");
     say(label, camera.may("classify") ? word : "This token may not see labels");
     label.classList.toggle("none", !now?.label);
+    label.dataset.sure = now?.label ? sureText(now.confidence) : "";
     say(how, activityText(activity, detail, policy));
-    look.hidden = activity === "off" || activity === "quiet";
-    list(before.slice(0, KEPT));
+    look.hidden = isResting(camera.watch);
     tick();
   }
 
-  // Anew only where it differs, so that nothing that is read or marked is lost.
-  function list(sights) {
-    const items = sights.map(sighting);
-    const text = items.map((item) => item.textContent).join("\n");
-    if (text !== listed) history.replaceChildren(...items);
-    listed = text;
+  function tick() {
+    say(since, told());
+    const { memory, status, watch } = camera;
+    const looks = watch?.looks ?? 0;
+    const found = memory.rate();
+    say(rate, found === null ? "–" : found.toFixed(found < 1 ? 2 : 1));
+    say(last, memory.lookedAt ? `${duration((performance.now() - memory.lookedAt) / 1000)} ago` : "–");
+    say(captures, `${status.captures + looks}${looks ? ` (${looks} by itself)` : ""}`);
   }
 
-  function tick() {
+  function told() {
     const now = present();
-    if (!now) return say(since, camera.may("classify") ? "Nothing was seen yet." : "");
+    if (!camera.may("classify")) return "";
+    if (isOpaque(camera)) return "The panel is opaque: the camera sees nothing.";
+    if (!now) return "Nothing was seen yet.";
     const time = duration((Date.now() - new Date(now.at)) / 1000);
-    const sure = now.confidence === null ? "" : `${percent(now.confidence)} sure, `;
-    return say(since, camera.watch?.belief ? `${sure}for ${time}` : `${sure}${time} ago`);
+    const sure = [sureText(now.label ? now.confidence : null), camera.watch?.belief ? `for ${time}` : `${time} ago`];
+    return sure.filter(Boolean).join(", ");
   }
 
   return {
     element: card(
       "It sees",
-      label,
-      since,
-      how,
+      h("div", { class: "seen" }, label, since),
       camera.may("classify") ? h("p", { class: "row" }, look) : null,
-      history,
+      how,
+      camera.may("classify")
+        ? facts([["Looks a second, last minute", rate], ["Last look", last], ["Captures in total", captures]])
+        : null,
       camera.may("mask:rotate") && camera.watch ? watchForm(camera) : null,
     ),
     update: draw,
@@ -94,31 +99,10 @@ function labelCard(camera) {
   };
 }
 
-function sighting({ label, confidence, seen_at: at, duration_s: lasted, gone_at: gone }) {
-  const sure = confidence === null ? "" : `, ${percent(confidence)} sure`;
-  const long = gone === null ? "still there" : `for ${duration(lasted)}`;
-  return h("li", {}, h("b", {}, label), ` ${clock(at)}, ${long}${sure}`);
-}
-
 function watchForm(camera) {
   const { policy } = camera.watch;
-  const mode = h(
-    "select",
-    { name: "mode" },
-    [
-      ["watching", "by itself"],
-      ["on_request", "when it is asked"],
-      ["off", "not at all: the panel is opaque"],
-    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
-  );
   const rate = h("input", {
-    name: "rate",
-    type: "number",
-    min: "0.001",
-    max: "10",
-    step: "any",
-    required: true,
-    value: String(policy.rate_hz ?? 2),
+    name: "rate", type: "number", min: "0.001", max: "10", step: "any", required: true, value: String(policy.rate_hz ?? 2),
   });
   const [begin, end] = ["begin", "end"].map((name) =>
     h("input", { name, type: "time", value: policy.quiet?.[name] ?? "" }),
@@ -130,17 +114,15 @@ function watchForm(camera) {
     h("legend", {}, "Quiet hours, with an opaque panel"),
     h("div", { class: "row" }, field("From", begin), field("To", end)),
   );
-  const adapt = () => {
-    rateField.hidden = mode.value !== "watching";
+  const adapt = (mode) => {
+    rateField.hidden = mode !== "watching";
     rate.disabled = rateField.hidden;
-    quiet.hidden = mode.value === "off";
+    quiet.hidden = mode === "off";
   };
-  mode.addEventListener("change", adapt);
-  adapt();
-  return h(
-    "details",
-    {},
-    h("summary", {}, "When it looks"),
+  adapt(policy.mode);
+  const options = [["watching", "By itself"], ["on_request", "When asked"], ["off", "Not at all", "The panel is opaque."]];
+  return fold(
+    "When it looks",
     form(
       {},
       async (values) => {
@@ -154,20 +136,23 @@ function watchForm(camera) {
         });
         await camera.refresh();
       },
-      field("It looks", mode),
+      pick("It looks", "mode", policy.mode, options, adapt),
       rateField,
       quiet,
-      h("button", { type: "submit" }, "Apply"),
+      h("button", { type: "submit", class: "plain" }, "Apply"),
     ),
   );
 }
 
 function maskCard(camera) {
-  const epoch = h("p", { class: "big" });
-  const age = h("p", { class: "note" });
+  const epoch = h("p", { class: "note" });
+  const picture = h("img", {
+    src: new URL("lensless.svg", import.meta.url).href, width: "320", height: "96", class: "lensless",
+    alt: "A scene, the mask that its light passes, and the numbers that leave",
+  });
   const bar = h("progress", { max: "1", "aria-label": "Until the next mask" });
   const due = h("p", {});
-  const change = button("Change it now", async () => {
+  const change = button("Change mask", async () => {
     await post("/v1/rotation/advance");
     await camera.refresh();
   });
@@ -175,64 +160,46 @@ function maskCard(camera) {
   function tick() {
     const passed = (performance.now() - camera.statusAt) / 1000;
     const { rotation } = camera.status;
-    const now = { ...rotation, epoch_age_s: (rotation.epoch_age_s ?? 0) + passed };
-    const { text, share } = next(now);
-    say(due, `It ${text}.`.replace("It no mask", "No mask"));
+    const age = (rotation.epoch_age_s ?? 0) + passed;
+    const { text, share } = next({ ...rotation, epoch_age_s: age });
+    say(due, text);
+    change.hidden = isResting(camera.watch);
     bar.value = share;
-    say(age, rotation.epoch === null ? "" : `shown for ${duration(now.epoch_age_s)}`);
+    const name = rotation.epoch?.slice(0, 8);
+    say(epoch, name ? `Epoch ${name}, shown for ${duration(age)}` : "The panel is opaque");
   }
 
   return {
     element: card(
       "Mask",
-      epoch,
-      age,
-      bar,
+      h("figure", {}, picture, h("figcaption", { class: "note" }, "No lens: light of the scene passes the mask, and the sensor sees numbers, no picture.")),
       due,
+      bar,
       camera.may("mask:rotate") ? h("p", { class: "row" }, change) : null,
+      epoch,
       camera.may("mask:rotate") ? policyForm(camera) : null,
     ),
-    update() {
-      const { epoch: name } = camera.status.rotation;
-      say(epoch, name === null ? "The panel is opaque" : `Epoch ${name.slice(0, 8)}`);
-      tick();
-    },
+    update: tick,
     tick,
   };
 }
 
 function policyForm(camera) {
   const { policy } = camera.status.rotation;
-  const mode = h(
-    "select",
-    { name: "mode" },
-    [
-      ["captures", "after so many captures"],
-      ["seconds", "every so many seconds"],
-      ["off", "by hand alone"],
-    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
-  );
   const count = h("input", {
-    name: "count",
-    type: "number",
-    min: "1",
-    max: "86400",
-    required: true,
-    value: String(policy.captures ?? policy.seconds ?? 10),
+    name: "count", type: "number", min: "1", max: "86400", required: true, value: String(policy.captures ?? policy.seconds ?? 10),
   });
   const told = h("p", { class: "note", role: "status" });
   const amount = field("How many", count);
-  const adapt = () => {
-    amount.hidden = mode.value === "off";
-    count.disabled = mode.value === "off";
-    count.step = mode.value === "seconds" ? "any" : "1";
+  const adapt = (mode) => {
+    amount.hidden = mode === "off";
+    count.disabled = amount.hidden;
+    count.step = mode === "seconds" ? "any" : "1";
   };
-  mode.addEventListener("change", adapt);
-  adapt();
-  return h(
-    "details",
-    {},
-    h("summary", {}, "When masks change"),
+  adapt(policy.mode);
+  const options = [["captures", "After so many captures"], ["seconds", "Every so many seconds"], ["off", "By hand alone"]];
+  return fold(
+    "When masks change",
     form(
       {},
       async (values) => {
@@ -242,9 +209,9 @@ function policyForm(camera) {
         say(told, `From now on: ${policyText(rotation.policy)}.`);
         await camera.refresh();
       },
-      field("Masks change", mode),
+      pick("Masks change", "mode", policy.mode, options, adapt),
       amount,
-      h("button", { type: "submit" }, "Apply"),
+      h("button", { type: "submit", class: "plain" }, "Apply"),
       told,
     ),
   );
@@ -271,7 +238,7 @@ function embeddingCard(camera) {
     element: card("Embedding", none, place, told, h("p", { class: "row" }, take)),
     update() {
       const kept = camera.status.release === "none";
-      take.hidden = kept;
+      take.hidden = kept || isResting(camera.watch);
       if (kept) say(none, "Embeddings stay in the camera: labels alone leave.");
     },
   };

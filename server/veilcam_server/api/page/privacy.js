@@ -1,8 +1,34 @@
 // Privacy: what leaves the camera, to whom, and what attacks on its masks found.
 
 import { get } from "./api.js";
-import { card, columns, empty, h } from "./dom.js";
+import { card, columns, empty, facts, h } from "./dom.js";
 import { RELEASES, THREATS, day } from "./words.js";
+
+// A privacy card, as elements.
+export function cardResult(made, label) {
+  if (!made) {
+    return empty("These masks have no privacy card: nobody has attacked them, or whoever did wrote no card.");
+  }
+  const depth = made.quick ? "a quick card, of few masks and light attackers" : "a full card";
+  const heads = ["Threat", "Outcome", "Reached", "At most"].map((text) => h("th", { scope: "col" }, text));
+  const rows = made.rows.map((row) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, `${row.threat} ${THREATS[row.threat] ?? ""}`),
+      [row.outcome, `${row.figure} ${row.unit}`, `${row.end} ${row.unit}`].map((text) => h("td", {}, text)),
+    ),
+  );
+  return [
+    h("p", { class: "big" }, made.outcome),
+    h("p", { class: "note" }, `Of masks “${made.mode}”, embeddings ${made.form}; ${depth}, made ${day(made.made_at)}.`),
+    h(
+      "div",
+      { class: "scroll", tabindex: "0", role: "region", "aria-label": label },
+      h("table", {}, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows)),
+    ),
+  ];
+}
 
 export function privacyView(camera) {
   const place = h("div", {});
@@ -19,63 +45,13 @@ export function privacyView(camera) {
   }
 
   function leaves({ release, raw_budget: budget, receivers }) {
+    const paired = `Sealed to ${receivers.length || "no"} ${receivers.length === 1 ? "receiver" : "receivers"}: see `;
     return card(
       "What leaves",
       h("p", {}, RELEASES[release]),
       release === "raw" ? h("p", {}, `At most ${budget} behind one mask.`) : null,
+      h("p", {}, paired, h("a", { href: "#receivers" }, "Receivers"), "."),
       h("p", { class: "note" }, "No mask and no frame of the sensor ever leaves, here neither."),
-    );
-  }
-
-  function received({ receivers }) {
-    return card(
-      "Receivers",
-      receivers.length
-        ? h(
-            "ul",
-            { class: "findings" },
-            receivers.map((each) =>
-              h("li", {}, h("b", {}, each.label), h("span", {}, `since ${day(each.added_at)}`), h("code", {}, each.id.slice(0, 16))),
-            ),
-          )
-        : empty("Nobody is paired: no embedding is sealed to anybody."),
-    );
-  }
-
-  function attacked({ bundle }) {
-    const made = bundle.card;
-    if (!made) {
-      const text = "These masks have no privacy card: nobody has attacked them, or whoever did wrote no card.";
-      return card("Privacy card", empty(text));
-    }
-    const depth = made.quick ? "a quick card, of few masks and light attackers" : "a full card";
-    return card(
-      "Privacy card",
-      h("p", { class: "big" }, made.outcome),
-      h("p", { class: "note" }, `Of masks “${made.mode}”, embeddings ${made.form}; ${depth}, made ${day(made.made_at)}.`),
-      h(
-        "div",
-        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Rows of the card" },
-        h(
-          "table",
-          {},
-          h("thead", {}, h("tr", {}, ["Threat", "Outcome", "Reached", "At most"].map((text) => h("th", { scope: "col" }, text)))),
-          h(
-            "tbody",
-            {},
-            made.rows.map((row) =>
-              h(
-                "tr",
-                {},
-                h("th", { scope: "row" }, `${row.threat} ${THREATS[row.threat] ?? ""}`),
-                h("td", {}, row.outcome),
-                h("td", {}, `${row.figure} ${row.unit}`),
-                h("td", {}, `${row.end} ${row.unit}`),
-              ),
-            ),
-          ),
-        ),
-      ),
     );
   }
 
@@ -92,7 +68,7 @@ export function privacyView(camera) {
       "Masks",
       h("p", {}, what),
       bundle.hiding ? bundle.hiding.found.map((text) => h("p", {}, text)) : null,
-      h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+      facts(pairs),
     );
   }
 
@@ -105,7 +81,8 @@ export function privacyView(camera) {
       drawn = now;
       load().catch((error) => learned.replaceChildren(h("li", { class: "empty" }, error.message)));
       const answer = card("What can somebody learn from this camera?", learned);
-      place.replaceChildren(columns([answer], [leaves(status), received(status), masks(status)], [attacked(status)]));
+      const attacks = card("Privacy card", cardResult(status.bundle.card, "Rows of the card"));
+      place.replaceChildren(columns([answer], [leaves(status), masks(status)], [attacks]));
     },
   };
 }

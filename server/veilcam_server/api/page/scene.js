@@ -1,7 +1,7 @@
 // What a simulated camera looks at, and what is wrong with it.
 
 import { put, remove } from "./api.js";
-import { button, busy, card, field, h, say } from "./dom.js";
+import { button, busy, card, field, fold, h, say } from "./dom.js";
 
 const SIDE = 28;
 const ROWS = 4;
@@ -23,7 +23,7 @@ const FAULTS = [
 
 export function sceneCards(camera) {
   if (!camera.status.device.simulated || !camera.may("simulate")) return [];
-  return [{ element: sceneCard() }, { element: faultCard() }];
+  return [{ element: sceneCard() }];
 }
 
 let sheet = null;
@@ -84,7 +84,7 @@ function sceneCard() {
     await hold("nothing", await bytes(black), "image/png");
   }, { plain: true, "aria-pressed": "false" });
   buttons.set("nothing", nothing);
-  const away = button("As it was started", async () => {
+  const away = button("Reset scene", async () => {
     await remove("/v1/simulation/scene");
     for (const element of buttons.values()) element.setAttribute("aria-pressed", "false");
     say(told, "It looks at what it was started with.");
@@ -101,28 +101,26 @@ function sceneCard() {
     h("p", { class: "row" }, nothing, away),
     field("Or a picture of yours", file),
     told,
+    fold("Faults", faults()),
   );
 }
 
-function faultCard() {
+function faults() {
   const told = h("p", { class: "note", role: "status" }, "Nothing is broken.");
-  const choice = h(
-    "select",
-    {},
-    FAULTS.map(([text], index) => h("option", { value: index }, text)),
-  );
-  return card(
-    "Faults",
+  const chosen = h("select", {}, FAULTS.map(([text], index) => h("option", { value: index }, text)));
+  return h(
+    "div",
+    { class: "column" },
     h("p", { class: "note" }, "Break the simulated camera, and see what it says."),
-    field("What happens", choice),
+    field("What happens", chosen),
     h(
       "p",
       { class: "row" },
       button("Break it", async () => {
-        const [text, faults] = FAULTS[choice.value];
+        const [text, faults] = FAULTS[chosen.value];
         await put("/v1/simulation/faults", faults);
         say(told, `${text}.`);
-      }),
+      }, { plain: true }),
       button("Mend it", async () => {
         await put("/v1/simulation/faults", {});
         say(told, "Nothing is broken.");

@@ -1,14 +1,14 @@
 // Tokens: who may ask this camera, and for what.
 
 import { get, post, remove } from "./api.js";
-import { button, card, columns, confirmed, empty, field, form, h, say } from "./dom.js";
-import { SCOPES, day } from "./words.js";
+import { button, card, columns, confirmed, empty, field, fold, form, h, pick, secretLine } from "./dom.js";
+import { ROLES, SCOPES, day } from "./words.js";
 
 const DAY = 86400;
 
 export function tokensView(camera) {
   const place = h("div", {});
-  const secret = h("div", { "aria-live": "polite" });
+  const secret = h("section", { class: "card", "aria-label": "New token", "aria-live": "polite", hidden: true });
 
   async function load() {
     const found = [];
@@ -31,8 +31,9 @@ export function tokensView(camera) {
           "li",
           {},
           h("b", {}, token.label),
-          h("span", {}, token.scopes.join(", ")),
+          h("span", {}, token.role ?? "scopes of its own"),
           h("span", { class: "note" }, told(token)),
+          fold("Scopes", h("code", {}, token.scopes.join(", "))),
           button("Revoke", async () => {
             if (!(await confirmed(`Revoke the token “${token.label}”? Who has it is out at once.`, "Revoke"))) return;
             await remove(`/v1/tokens/${token.id}`);
@@ -55,43 +56,36 @@ export function tokensView(camera) {
     return form(
       {},
       async (values) => {
-        const chosen = values.getAll("scope");
-        if (!chosen.length) throw new Error("Choose what it allows.");
+        const scopes = values.getAll("scope");
+        const allowed = scopes.length ? { scopes } : { role: values.get("role") };
         const lasts = values.get("days") ? { seconds: Number(values.get("days")) * DAY } : {};
-        const made = await post("/v1/tokens", { label: values.get("label"), scopes: chosen, ...lasts });
-        const copied = h("p", { class: "note", role: "status" });
-        secret.replaceChildren(
-          h("p", {}, "This is the token. It is shown this once:"),
-          h("p", { class: "secret" }, h("code", {}, made.secret)),
-          h(
-            "p",
-            { class: "row" },
-            button("Copy it", async () => {
-              await navigator.clipboard.writeText(made.secret);
-              say(copied, "Copied.");
-            }),
-            button("Done", async () => secret.replaceChildren(), { plain: true }),
-          ),
-          copied,
-        );
+        const made = await post("/v1/tokens", { label: values.get("label"), ...allowed, ...lasts });
+        const { elements, copy } = secretLine(made.secret, "This is the token. It is shown this once:");
+        const done = button("Done", async () => {
+          secret.replaceChildren();
+          secret.hidden = true;
+        }, { plain: true });
+        secret.replaceChildren(h("h2", {}, `Token of ${made.label}`), ...elements, h("p", { class: "row" }, copy, done));
         await load();
+        secret.hidden = false;
+        secret.scrollIntoView({ block: "nearest" });
       },
       field("For whom or what", label),
       field("Days that it lasts", days, "Empty: until it is revoked."),
-      h(
-        "fieldset",
-        {},
-        h("legend", {}, "What it allows"),
+      pick("Role", "role", "viewer", Object.entries(ROLES).map(([role, text]) => [role, role, text])),
+      fold(
+        "Scopes",
+        h("p", { class: "note" }, "For a program. If any is chosen, they take the place of the role."),
         scopes.map(([scope, text]) =>
           h(
             "label",
             { class: "check" },
-            h("input", { type: "checkbox", name: "scope", value: scope, checked: scope === "read:status" }),
+            h("input", { type: "checkbox", name: "scope", value: scope }),
             h("span", {}, h("code", {}, scope), ` ${text}`),
           ),
         ),
       ),
-      h("button", { type: "submit" }, "Make it"),
+      h("button", { type: "submit" }, "Make token"),
     );
   }
 
@@ -99,12 +93,9 @@ export function tokensView(camera) {
     const text = "This daemon wants no tokens: who reaches it may use it. Start it with --auth tokens to have some.";
     return { elements: [card("Tokens", empty(text))], update() {} };
   }
-  if (!camera.may("admin:tokens")) {
-    return { elements: [card("Tokens", empty("This token may not see or make tokens."))], update() {} };
-  }
   load().catch((error) => place.replaceChildren(empty(error.message)));
   return {
-    elements: [columns([card("Who may ask", place)], [card("Make a token", make(), secret)])],
+    elements: [columns([card("Make a token", make())], [card("Tokens of this camera", place), secret])],
     update() {},
   };
 }

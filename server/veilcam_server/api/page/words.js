@@ -9,7 +9,11 @@ export function duration(seconds) {
 
 export const clock = (at) => new Date(at).toLocaleTimeString();
 export const day = (at) => new Date(at).toLocaleString();
-export const percent = (share) => `${Math.round(100 * share)} %`;
+
+// How sure the camera is, as words; the least share that each stands for, the greatest first.
+const SURE = [[0.95, "almost sure"], [0.8, "fairly sure"], [0.6, "not quite sure"], [0, "a guess"]];
+
+export const sureText = (share) => (share === null ? "" : SURE.find(([least]) => share >= least)[1]);
 
 export const STATES = {
   starting: "Starting",
@@ -23,10 +27,22 @@ export const STATES = {
   stopping: "Stopping",
 };
 
+// States in which the panel is opaque: nothing is seen then.
+const OPAQUE = new Set(["starting", "self-test", "off", "safe", "stopping"]);
+const RESTING = new Set(["off", "quiet"]);
+
+export function isOpaque({ status, watch }) {
+  if (status.state === "replay") return false;
+  return status.rotation.epoch === null || OPAQUE.has(status.state) || isResting(watch);
+}
+
+// Nothing is looked at, because that is wanted now.
+export const isResting = (watch) => RESTING.has(watch?.activity);
+
 export function activityText(activity, detail, policy) {
   switch (activity) {
     case "looking":
-      return `It looks by itself, ${rateText(policy.rate_hz)}.`;
+      return `It looks by itself, up to ${rateText(policy.rate_hz)}.`;
     case "on_request":
       return "It looks when it is asked.";
     case "off":
@@ -42,7 +58,7 @@ export function activityText(activity, detail, policy) {
 
 function rateText(rate) {
   if (rate >= 1) return rate === 1 ? "once a second" : `${rate} times a second`;
-  return `every ${duration(1 / rate)}`;
+  return `once in ${duration(1 / rate)}`;
 }
 
 export const REMEDIES = {
@@ -71,6 +87,12 @@ export const THREATS = {
   T9: "linkage",
 };
 
+export const ROLES = {
+  viewer: "Sees state, labels and this page, and may ask for a look.",
+  operator: "Also changes masks, says when the camera looks, and takes captures for paired receivers.",
+  owner: "May do everything: also receivers, tokens, bundles and calibration.",
+};
+
 export const SCOPES = {
   "read:status": "state, events, health",
   classify: "labels",
@@ -89,24 +111,24 @@ export const SCOPES = {
 
 export const RELEASES = {
   none: "Embeddings stay in the camera: labels alone leave.",
-  sealed: "Embeddings leave sealed: only the receivers below can open them.",
+  sealed: "Embeddings leave sealed: only paired receivers can open them.",
   raw: "Embeddings leave as they were read. Who knows the mask can compute a picture from them.",
 };
 
 export function next(rotation) {
   const { policy, epoch_age_s: age, captures } = rotation;
-  if (rotation.epoch === null) return { text: "no mask is shown", share: 0 };
-  if (policy.mode === "off") return { text: "stays until it is changed here", share: 0 };
+  if (rotation.epoch === null) return { text: "No mask is shown.", share: 0 };
+  if (policy.mode === "off") return { text: "It stays until it is changed here.", share: 0 };
   if (policy.mode === "captures") {
     const left = policy.captures - captures;
     const share = Math.min(1, captures / policy.captures);
-    if (left <= 0) return { text: "changes with the next capture", share: 1 };
-    return { text: `changes after ${left} more ${left === 1 ? "capture" : "captures"}`, share };
+    if (left <= 0) return { text: "It changes with the next capture.", share: 1 };
+    return { text: `It changes after ${left} more ${left === 1 ? "capture" : "captures"}.`, share };
   }
   const left = policy.seconds - age;
-  if (left <= 0) return { text: "changes as soon as the next one is ready", share: 1 };
+  if (left <= 0) return { text: "It changes as soon as the next one is ready.", share: 1 };
   const within = policy.jitter ? "within" : "in";
-  return { text: `changes ${within} ${duration(left)}`, share: age / policy.seconds };
+  return { text: `It changes ${within} ${duration(left)}.`, share: age / policy.seconds };
 }
 
 export function eventText(event) {

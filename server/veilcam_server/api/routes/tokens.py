@@ -78,7 +78,7 @@ async def create_token(
 
     async def work() -> NewToken:
         return await run_in_threadpool(
-            store.create, question.label, question.scopes, question.seconds
+            store.create, question.label, question.allowed, question.seconds
         )
 
     _require_no_more(question, caller, store)
@@ -101,7 +101,7 @@ def _place(tokens: Sequence[Token], token_id: str) -> int:
 
 
 def _require_no_more(question: TokenRequest, caller: Caller, store: TokenStore) -> None:
-    for scope in question.scopes:
+    for scope in question.allowed:
         caller.require(scope)
     left = store.lifetime(caller)
     if left is not None and (question.seconds is None or question.seconds > left):

@@ -35,6 +35,8 @@ runner = CliRunner()
         (["watch"], ["now  3  99.8 %  for 12.5 s", "03:04:05  3  99.8 %  12.5 s, and still there"]),
         (["token", "list"], ["0123456789ab", "until it is revoked", "2026-01-03", "a lamp"]),
         (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
+        (["token", "create", "--label", "me", "--role", "owner"], ["vc_0123456789ab_5"]),
+        (["token", "list"], ["viewer"]),
         (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
         (["bundle", "list"], ["* cdcdcdcdcdcd", "damaged  configured", "fashion, 5 masks"]),
         (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),

@@ -10,23 +10,23 @@ from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
-from veilcam_client.cli.profiles import profiles_path
+from veilcam_client.profiles import profiles_path
 
 runner = CliRunner()
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    made = tmp_path / "veilcam"
-    made.mkdir()
-    return made
+def folder(settings: Path) -> Path:
+    settings.mkdir(parents=True)
+    return settings
 
 
 @pytest.fixture
 def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A profile of the daemon, beside an environment that names another camera."""
-    (folder / "hall.token").write_text("vc_hall\n")
+    token = folder / "hall.token"
+    token.write_text("vc_hall\n")
+    token.chmod(0o600)
     (folder / "config.toml").write_text(
         f'[profiles.hall]\nurl = "{url}"\ntoken_file = "hall.token"\n'
         f'[profiles.open]\nurl = "{url}"\n'
@@ -76,7 +76,9 @@ def test_camera_is_told_its_own_token(
 def test_token_of_a_profile_goes_to_no_other_camera() -> None:
     result = runner.invoke(app, ["status", "--profile", "hall", "--url", "http://127.0.0.1:2"])
     assert result.exit_code == 2
-    assert result.stderr == "veilcam: error: give --url or the profile 'hall', not both\n"
+    assert (
+        result.stderr == "veilcam: error: a url and a profile name two cameras: give one of them\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -89,18 +91,33 @@ def test_token_of_a_profile_goes_to_no_other_camera() -> None:
         ("[profiles.hall]", "profiles.hall.url: Field required"),
         ('[profiles.hall]\nurl = "u"\ntoken = "vc_hidden"', "name that as token_file"),
         ('[profiles.hall]\nurl = "u"\ntoken_file = "none"', "none cannot be read"),
+        ('[profiles.hall]\nurl = "u"\ndevice = "ab"', "profiles.hall.device: String should match"),
+        ('[profiles.hall]\nurl = "u"\ntoken_file = "open"', "open is open to others: run chmod"),
         ("colour = 1", "colour: Extra inputs"),
     ],
 )
 def test_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
     if text is not None:
         (folder / "config.toml").write_text(text)
+    (folder / "open").write_text("vc_hidden")
+    (folder / "open").chmod(0o640)
     result = runner.invoke(app, ["status", "--profile", "hall"])
     assert result.exit_code == 2
     (line,) = result.stderr.splitlines()
     assert message in line
     assert str(folder) in line
     assert "hidden" not in line
+
+
+def test_file_that_others_can_change_is_refused(folder: Path, url: str) -> None:
+    file = folder / "config.toml"
+    file.write_text(f'default = "hall"\n[profiles.hall]\nurl = "{url}"\n')
+    file.chmod(0o620)
+    for options in (["--profile", "hall"], ["--url", url]):
+        result = runner.invoke(app, ["status", *options], env={"VEILCAM_URL": ""})
+        refused = options[0] == "--profile"
+        assert result.exit_code == (2 if refused else 0)
+        assert ("can be changed by others: run chmod 600" in result.stderr) is refused
 
 
 def test_profiles_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,7 @@ pytestmark = pytest.mark.anyio
 
 Ask = Callable[[Any], Any]
 AB = "ab" * 32
+LAMP: dict[str, Any] = {"label": "a lamp", "role": None, "scopes": [], "seconds": None}
 ROUTES: list[tuple[Ask, str, Any]] = [
     (lambda camera: camera.status(), "GET status", None),
     (lambda camera: camera.diagnostics(), "GET diagnostics", None),
@@ -64,6 +65,12 @@ ROUTES: list[tuple[Ask, str, Any]] = [
         *("POST receivers", {"label": "archive", "key": "veilcam-receiver:c2VhbGVk"}),
     ),
     (lambda camera: camera.receivers.remove(AB), f"DELETE receivers/{AB}", None),
+    (lambda camera: camera.receivers.offer(), "POST pairing", {"role": "operator"}),
+    (
+        lambda camera: camera.receivers.claim("0f" * 16, "a", "veilcam-receiver:c2VhbGVk"),
+        "POST pairing/claim",
+        {"label": "a", "key": "veilcam-receiver:c2VhbGVk", "secret": "0f" * 16},
+    ),
     (lambda camera: camera.bundles.list(), "GET bundles", None),
     (lambda camera: camera.bundles.install(b"[7]"), "POST bundles", [7]),
     (lambda camera: camera.bundles.activate(AB), f"POST bundles/{AB}/activate", None),
@@ -86,7 +93,11 @@ ROUTES: list[tuple[Ask, str, Any]] = [
     ),
     (
         lambda camera: camera.tokens.create("a lamp", ["classify"], seconds=60),
-        *("POST tokens", {"label": "a lamp", "scopes": ["classify"], "seconds": 60}),
+        *("POST tokens", {**LAMP, "scopes": ["classify"], "seconds": 60}),
+    ),
+    (
+        lambda camera: camera.tokens.create("a lamp", role="owner"),
+        *("POST tokens", {**LAMP, "role": "owner"}),
     ),
     (lambda camera: camera.tokens.revoke("0123456789ab"), "DELETE tokens/0123456789ab", None),
     (lambda camera: camera.lease.revoke(), "DELETE lease?force=true", None),
@@ -102,8 +113,8 @@ async def test_every_method_asks_its_route(both: Both) -> None:
         method, path = route.split()
         assert (request.method, request.url.raw_path.decode()) == (method, f"/v1/{path}")
         assert (json.loads(request.content) if request.content else None) == body
-        # A bundle that is installed twice is installed.
-        once = method == "POST" and path != "bundles"
+        # A bundle that is installed twice is installed, and a line is used once anyway.
+        once = method == "POST" and path not in ("bundles", "pairing/claim")
         assert ("idempotency-key" in request.headers) is once
 
 

@@ -14,7 +14,7 @@ from tests.unit.server.api.conftest import bearer
 
 from veilcam_client.wire.events import EVENT_KINDS
 from veilcam_client.wire.status import Remedy, State
-from veilcam_client.wire.tokens import SCOPES
+from veilcam_client.wire.tokens import ROLES, SCOPES
 from veilcam_server.api.routes.page import FOLDER, PATHS
 from veilcam_server.demo_data import load_digits
 from veilcam_server.security.admission import Admission
@@ -139,6 +139,7 @@ def test_page_words_are_those_of_the_api() -> None:
     }
     assert set(table("STATES")) == set(get_args(State))
     assert set(table("SCOPES")) == set(SCOPES)
+    assert list(table("ROLES")) == list(ROLES)
     assert set(re.findall(r'    case "(\w+)":\n      return', WORDS)) >= EVENT_KINDS
     card = (DOCS / "privacy-card.md").read_text()
     names = dict(re.findall(r"^\| (T\d) ([^|]+) \|", card, re.M))

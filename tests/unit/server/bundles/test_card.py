@@ -9,7 +9,7 @@ from veilcam_server.bundles.loader import bundle_info
 from veilcam_training.bundle import CardRow, PrivacyCard, add_card, read_bundle
 
 
-def _card(subject: str) -> PrivacyCard:
+def make_card(subject: str) -> PrivacyCard:
     row = CardRow(
         threat="T0",
         title="a title",
@@ -43,7 +43,7 @@ def _card(subject: str) -> PrivacyCard:
 def test_bundle_is_told_with_its_card(bundle_file: Path) -> None:
     bundle = read_bundle(bundle_file)
     assert bundle_info(bundle).card is None
-    add_card(bundle_file, _card(bundle.subject))
+    add_card(bundle_file, make_card(bundle.subject))
     found = bundle_info(read_bundle(bundle_file)).card
     assert found is not None
     assert found.model_dump() == {

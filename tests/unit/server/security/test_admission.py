@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.anyio
 
-OPEN_PATHS = ("/", "/docs", "/page/{name}", "/healthz", "/readyz")
+OPEN_PATHS = ("/", "/docs", "/page/{name}", "/healthz", "/readyz", "/v1/pairing/claim")
 """What everybody may ask; all else wants a token."""
 
 
@@ -250,7 +250,7 @@ async def test_daemon_without_tokens_says_how_to_make_one(
     with open_admission(settings) as admission:
         assert admission.tokens is not None
         admission.tokens.create("first", ("classify",), None)
-    assert "veilcamd token create" in capsys.readouterr().out
+    assert "sudo veilcamd token first" in capsys.readouterr().out
     with open_admission(settings):
         pass
     assert capsys.readouterr().out == ""

@@ -294,7 +294,7 @@ def test_lost_tokens_let_nobody_in(
         turn_away(store, made.secret)
     (fault,) = faults
     assert fault.code == "state_lost"
-    assert "nobody is let in until a token is made with 'veilcamd token create'" in str(fault)
+    assert "nobody is let in until 'veilcamd token first' makes a token" in str(fault)
     other = make(TokenStore(tmp_path))
     assert who(store, other.secret).id == other.id
     turn_away(store, made.secret)

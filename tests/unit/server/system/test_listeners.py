@@ -15,6 +15,7 @@ from veilcam_server.system import listeners
 from veilcam_server.system.listeners import (
     BACKLOG,
     RESERVE,
+    Listening,
     open_listeners,
     peer_of,
     require_free,
@@ -49,6 +50,24 @@ def test_answers_do_not_wait_for_acknowledgements(bundle_file: Path) -> None:
         # asyncio sets TCP_NODELAY on accepted sockets of exactly this protocol.
         assert listener.socket.proto == socket.IPPROTO_TCP
         assert listener.url == f"http://127.0.0.1:{listener.socket.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("urls", "hosts", "place"),
+    [
+        (("unix:///run/api.sock", "http://127.0.0.1:8787"), (), "127.0.0.1:8787"),
+        (("unix:///run/api.sock",), (), "/run/api.sock"),
+        (("https://192.0.2.7:8787",), ("camera.example",), "192.0.2.7:8787"),
+        (("https://[::1]:8787",), (), "[::1]:8787"),
+        (("https://0.0.0.0:8787",), ("camera.example:443", "b.example"), "camera.example:8787"),
+        (("https://[::]:8787",), (), "198.51.100.4:8787"),
+    ],
+)
+def test_line_leads_to_a_place_that_other_machines_reach(
+    urls: tuple[str, ...], hosts: tuple[str, ...], place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listeners, "_own_address", lambda: "198.51.100.4")
+    assert Listening(urls=urls, hosts=hosts, certificate=None, pairs=True).place == place
 
 
 def test_socket_of_its_own_is_removed(bundle_file: Path, tmp_path: Path) -> None:
