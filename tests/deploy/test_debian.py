@@ -148,7 +148,10 @@ def test_a_command_runs_from_the_release_in_use_whatever_the_environment_says(
 ) -> None:
     program = tmp_path / "command"
     text = (DEPLOY / "debian/command.py").read_text()
-    program.write_text(text.replace("/var/lib/veilcam-release", str(tmp_path)))
+    state = tmp_path / "state"
+    state.mkdir()
+    moved = text.replace("/var/lib/veilcam-release", str(tmp_path))
+    program.write_text(moved.replace("/var/lib/veilcam", str(state)))
     (tmp_path / name).symlink_to(program)
     minor = "py{}{}".format(*sys.version_info)
     for number in (1, 2):
@@ -159,7 +162,9 @@ def test_a_command_runs_from_the_release_in_use_whatever_the_environment_says(
             for folder in (path.parent, packages / module.partition(".")[0]):
                 (folder / "__init__.py").touch()
             path.write_text(
-                f"import needed\ndef main(): print('{module}', {number}, needed.__file__)"
+                "import needed, os\n"
+                f"def main(): print('{module}', {number}, needed.__file__, "
+                "os.environ['VEILCAM_STATE_DIRECTORY'])"
             )
         needed = tmp_path / f"releases/{number}/{minor}/needed.py"
         needed.parent.mkdir()
@@ -180,7 +185,7 @@ def test_a_command_runs_from_the_release_in_use_whatever_the_environment_says(
             cwd=other,
         )
         needed = tmp_path / f"releases/{number}/{minor}/needed.py"
-        assert done.stdout.split()[1:] == [str(number), str(needed)]
+        assert done.stdout.split()[1:] == [str(number), str(needed), str(state)]
         room = {"veilcam": "client", "veilcamd": "server", "veilcam-mqtt": "mqtt"}[name]
         assert done.stdout.startswith(f"veilcam_{room}.cli")
     assert text.startswith("#!/usr/bin/python3 -Iu\n")

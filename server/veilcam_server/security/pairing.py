@@ -82,8 +82,8 @@ class PairingOffers:
 
     The file has the SHA-256 of the offer's secret. An offer ends when another one is made, when it
     is used, after ``MOST_TRIES`` wrong claims, with the token that made it, and with the daemon:
-    one that was made before this object is ended. So a claim writes nothing, and takes as long
-    whether an offer is open or not.
+    one that was made before this object has ended. So a wrong claim changes no file: the time that
+    this takes would tell that an offer is open.
 
     Args:
         directory: state directory of the daemon, which exists.
@@ -173,7 +173,7 @@ class PairingOffers:
 
     def _opened(self, offer: _Offer | None) -> ClaimedOffer | None:
         """Return an offer that may be claimed; None for one that has ended."""
-        if offer is None or offer.digest == self._ended or self._now() >= offer.expires:
+        if offer is None:
             return None
         until = None
         if offer.maker is not None and self._tokens is not None:
@@ -181,6 +181,8 @@ class PairingOffers:
                 until = self._tokens.caller_of(offer.maker).expires
             except UnauthorizedError:
                 return None
+        if offer.digest == self._ended or self._now() >= offer.expires:
+            return None
         return ClaimedOffer(offer.role, until, self._tokens)
 
     def _count(self, offer: _Offer) -> bool:
