@@ -39,7 +39,6 @@ from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.loop import Fit, fit, load_checkpoint, save_checkpoint
 from veilcam_training.trainer.step import judge, measure
-from veilcam_training.transforms.scene import Identity
 
 WRONG_KEY_IMAGES = 1000
 """Test images that are decoded with another key: enough to tell that accuracy is at chance."""
@@ -186,11 +185,10 @@ def check_budget(settings: FitSettings, budget: float | None) -> None:
 def _eye(model: LenslessClassifier) -> Eye | None:
     """Return the eye that a daemon judges a mask by; None where a mask has no bound.
 
-    That is where the encoder learns no mask, where images are shown at random places, and where an
-    eye does not find what one pinhole shows.
+    That is where the encoder learns no mask, and where an eye does not find what one pinhole shows.
     """
     setup = model.encoder.setup
-    if not (isinstance(model.encoder, LearnedMask) and isinstance(model.change, Identity)):
+    if not isinstance(model.encoder, LearnedMask):
         return None
     eye = drawn_eye(setup.camera, setup.scene, setup.embedding, setup.channels)
     return eye if eye.pinhole >= LEAST_PINHOLE else None
