@@ -16,11 +16,6 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from playwright.sync_api import sync_playwright
 
-from veilcam_client import Camera
-from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import FRESH, load_digits
-from veilcam_server.devices.simulated.scenes import write_scene
-
 TESTS = Path(__file__).resolve().parents[2] / "tests" / "page"
 WIDTHS = 2
 """Widths at which a job is done."""
@@ -61,6 +56,12 @@ class Tally:
 
 def looks_shown_over_real() -> float:
     """Return looks a second as the page shows them, over those that the daemon did."""
+    # Late: pytest refuses to run where its own plugin's packages are there already.
+    from veilcam_client import Camera  # noqa: PLC0415
+    from veilcam_server.demo.daemon import running  # noqa: PLC0415
+    from veilcam_server.demo_data import FRESH, load_digits  # noqa: PLC0415
+    from veilcam_server.devices.simulated.scenes import write_scene  # noqa: PLC0415
+
     program = shutil.which("chromium")
     with tempfile.TemporaryDirectory() as place, sync_playwright() as playwright:
         folder = Path(place)

@@ -77,7 +77,7 @@ function labelCard(camera) {
     const now = present();
     if (!camera.may("classify")) return "";
     if (isOpaque(camera)) return "The panel is opaque: the camera sees nothing.";
-    if (!now) return "Nothing was seen yet.";
+    if (!now) return camera.memory.heard.length ? "It sees nothing now." : "Nothing was seen yet.";
     const time = duration((Date.now() - new Date(now.at)) / 1000);
     const sure = [sureText(now.label ? now.confidence : null), camera.watch?.belief ? `for ${time}` : `${time} ago`];
     return sure.filter(Boolean).join(", ");
@@ -108,12 +108,8 @@ function watchForm(camera) {
     h("input", { name, type: "time", value: policy.quiet?.[name] ?? "" }),
   );
   const rateField = field("Looks per second", rate);
-  const quiet = h(
-    "fieldset",
-    {},
-    h("legend", {}, "Quiet hours, with an opaque panel"),
-    h("div", { class: "row" }, field("From", begin), field("To", end)),
-  );
+  const hours = h("div", { class: "row" }, field("From", begin), field("To", end));
+  const quiet = h("fieldset", {}, h("legend", {}, "Quiet hours, with an opaque panel"), hours);
   const adapt = (mode) => {
     rateField.hidden = mode !== "watching";
     rate.disabled = rateField.hidden;
