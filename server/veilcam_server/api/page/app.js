@@ -52,6 +52,7 @@ let stale = false;
 let asked = 0;
 let told = 0;
 let counted = 0;
+let leaving = false;
 say(document.getElementById("place"), PLACE);
 
 async function refresh() {
@@ -147,7 +148,7 @@ async function follow() {
       }
     } catch (error) {
       if (error instanceof Problem && error.status === 401) {
-        ended();
+        if (!leaving) ended();
         return;
       }
       main.setAttribute("aria-busy", "true");
@@ -206,11 +207,23 @@ async function begin(session) {
       .map(([name, [title]]) => h("a", { href: `#${name}` }, title)),
   );
   if (session.tokens) {
-    nav.append(button("Log out", () => logOut().then(() => location.reload()), { plain: true }));
+    nav.append(button("Log out", leave, { plain: true }));
   }
   nav.hidden = false;
   show();
   follow();
+}
+
+// The page is loaded anew, so that its memory keeps nothing of the session.
+async function leave() {
+  leaving = true;
+  try {
+    await logOut();
+    location.reload();
+  } catch (error) {
+    leaving = false;
+    throw error;
+  }
 }
 
 function ended() {

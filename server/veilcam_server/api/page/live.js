@@ -108,12 +108,8 @@ function watchForm(camera) {
     h("input", { name, type: "time", value: policy.quiet?.[name] ?? "" }),
   );
   const rateField = field("Looks per second", rate);
-  const quiet = h(
-    "fieldset",
-    {},
-    h("legend", {}, "Quiet hours, with an opaque panel"),
-    h("div", { class: "row" }, field("From", begin), field("To", end)),
-  );
+  const hours = h("div", { class: "row" }, field("From", begin), field("To", end));
+  const quiet = h("fieldset", {}, h("legend", {}, "Quiet hours, with an opaque panel"), hours);
   const adapt = (mode) => {
     rateField.hidden = mode !== "watching";
     rate.disabled = rateField.hidden;

@@ -77,12 +77,7 @@ export function tokensView(camera) {
         "Scopes",
         h("p", { class: "note" }, "For a program. If any is chosen, they take the place of the role."),
         scopes.map(([scope, text]) =>
-          h(
-            "label",
-            { class: "check" },
-            h("input", { type: "checkbox", name: "scope", value: scope }),
-            h("span", {}, h("code", {}, scope), ` ${text}`),
-          ),
+          h("label", { class: "check" }, h("input", { type: "checkbox", name: "scope", value: scope }), h("span", {}, h("code", {}, scope), ` ${text}`)),
         ),
       ),
       h("button", { type: "submit" }, "Make token"),
