@@ -235,15 +235,6 @@ def test_response_that_is_not_finite_is_refused() -> None:
         decoding.prepare_transfer(transfer)
 
 
-def test_types_of_each_precision() -> None:
-    types = {p.name: (p.products, p.factors) for p in Precision}
-    assert types == {
-        "SINGLE": ("float32", "float32"),
-        "MIXED": ("float32", "float64"),
-        "DOUBLE": ("float64", "float64"),
-    }
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [(6, 8), (24, 32)])
 def test_precision_is_bounded(shape: tuple[int, int]) -> None:
