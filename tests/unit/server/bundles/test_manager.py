@@ -470,20 +470,6 @@ def test_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> No
     assert len(faults) == 2
 
 
-@pytest.mark.parametrize("name", ["in-use.json", "in-use.json.copy"])
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_record_is_put_right_from_its_copy(
-    restarts: Restarts, damage: Callable[[Path], None], name: str
-) -> None:
-    restarts.use(1, before=0)
-    restarts.use(2, before=1)
-    damage(restarts.directory / "bundles" / name)
-    task, (fault,) = restarts.start()
-    assert (task, restarts.faults[0].code) == ("task 2", "state_damaged")
-    assert name in fault
-    assert restarts.start() == ("task 2", [])
-
-
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_lost_record_rolls_nothing_back_in_silence(
     restarts: Restarts, damage: Callable[[Path], None]
@@ -497,17 +483,6 @@ def test_lost_record_rolls_nothing_back_in_silence(
         assert "the bundle that the daemon was started with is in use; activate" in fault
     restarts.use(1, before=0)
     assert restarts.start() == ("task 1", [])
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_bundle_that_is_damaged_is_never_used_and_that_is_told(
-    restarts: Restarts, damage: Callable[[Path], None]
-) -> None:
-    restarts.use(1, before=0)
-    damage(restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam")
-    task, (fault,) = restarts.start()
-    assert (task, restarts.faults[0].code) == ("task 0", "bundle_refused")
-    assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
 def test_remains_of_a_killed_upload_are_removed(restarts: Restarts) -> None:

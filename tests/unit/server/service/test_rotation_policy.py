@@ -78,15 +78,6 @@ def test_another_setting_at_the_start_ends_what_was_set(rig: Rig) -> None:
     assert not rig.faults
 
 
-@pytest.mark.parametrize("name", ["rotation.json", "rotation.json.copy"])
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_record_is_put_right(rig: Rig, damage: Callable[[Path], None], name: str) -> None:
-    rig.open().set(SELDOM)
-    damage(rig.directory / name)
-    assert rig.start() == SELDOM
-    assert [fault.code for fault in rig.faults] == ["state_damaged"]
-
-
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_lost_record_is_told_and_the_setting_holds(
     rig: Rig, damage: Callable[[Path], None]
