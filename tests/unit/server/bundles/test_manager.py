@@ -17,7 +17,7 @@ from tests.unit.server.damage import DAMAGES
 from veilcam_client.wire.base import Problem
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
-from veilcam_client.wire.events import BundleChanged, Event, Fault
+from veilcam_client.wire.events import Event, Fault
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
@@ -166,17 +166,6 @@ async def test_mask_and_classifier_change_together_and_back(
         assert await active(client) == first
         result = await label(client)
         assert result.label == expected(bundle, bench)
-
-
-async def test_change_is_an_event(bench: Bench, data: bytes) -> None:
-    service = bench.service(bench.camera())
-    async with service.open():
-        installed = await service.bundles.install(chunks(data[:1000], data[1000:]))
-        start = f"{service._events.log._boot}-0"
-        await service.activate_bundle(installed.digest)
-        heard = [event async for event in _until_quiet(service.events(start))]
-    (change,) = [event for event in heard if isinstance(event, BundleChanged)]
-    assert (change.digest, change.task) == (installed.digest, "other")
 
 
 @pytest.mark.parametrize("faults", [1, 3])
