@@ -83,6 +83,7 @@ def looks_shown_over_real() -> float:
             real = (camera.watch.get().looks - before) / (WINDOW / 1000)
             shown = float(rate.inner_text())
         browser.close()
+    typer.echo(f"looks a second: {shown} shown, {real} real, {WATCH} asked for")
     return shown / real
 
 

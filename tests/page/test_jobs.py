@@ -18,6 +18,7 @@ from tests.page.conftest import AXE, Daemon, Open, violations
 from tests.unit.server.bundles.test_card import make_card
 
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.models import OnRequest
 from veilcam_client.wire.pairing import PairingLine, PairingOffer
 from veilcam_server.demo_data import FRESH
 from veilcam_training.bundle import add_card, read_bundle, sign_bundle
@@ -112,7 +113,7 @@ def begin(
     return lambda name: Job(open_page(viewport=request.param), name, record_property)
 
 
-def test_job_see(begin: Callable[[str], Job]) -> None:
+def test_job_see(begin: Callable[[str], Job], daemon: Daemon) -> None:
     job = begin("see")
     page, label = job.page, job.page.locator("output.label")
     job.press("Hold up a 1", key="Space")
@@ -124,9 +125,14 @@ def test_job_see(begin: Callable[[str], Job]) -> None:
     expect(strip.filter(has_text=re.compile("^1"))).to_be_visible()
     total = page.locator(".facts div", has_text="Captures in total").locator("dd")
     expect(total).to_have_text(re.compile(r"^\d+ \(\d+ by itself\)$"))
-    before = total.inner_text()
+    with daemon.camera() as camera:
+        # From here on the look that is asked for is the only one.
+        camera.watch.set(OnRequest())
+    expect(page.get_by_text("It looks when it is asked.")).to_be_visible()
+    alone, own = map(int, re.findall(r"\d+", total.inner_text()))
     job.press("Look once")
-    expect(total).not_to_have_text(before)
+    expect(total).to_have_text(f"{alone + 1} ({own} by itself)")
+    expect(page.get_by_text(re.compile(r"^.*, \d+ s ago$"))).to_be_visible()
     job.keep("label")
     job.view("Health")
     expect(page.get_by_text("Ready: no problem was found")).to_be_visible()
