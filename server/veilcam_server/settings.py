@@ -190,16 +190,6 @@ class Settings(CallerLimits, Wiring):
                 )
         return origins
 
-    @field_validator("release", mode="before")
-    @classmethod
-    def _a_form(cls, given: object) -> object:
-        if given == "white":
-            raise ValueError(
-                "the form 'white' is gone, as nobody could read it: use sealed, and pair a "
-                "receiver with 'veilcam receiver add', or use none"
-            )
-        return given
-
     @field_validator("watch")
     @classmethod
     def _a_rate(cls, given: str | None) -> str | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
@@ -74,13 +74,6 @@ class _Row(BaseModel):
     revoked: float | None = None
     used: str | None = None
     digest: str
-
-    @field_validator("scopes")
-    @classmethod
-    def _one_scope_of_scores(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:
-        """Read a scope that is gone as what it allowed: scores in tenths."""
-        now = ("read:scores" if each == "read:scores:rounded" else each for each in scopes)
-        return tuple(dict.fromkeys(now))
 
     @property
     def ended(self) -> float:
