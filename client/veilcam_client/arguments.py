@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import numbers
 import reprlib
@@ -58,6 +59,14 @@ def model(kind: type[ModelT], fields: Mapping[str, object]) -> ModelT:
         name = str(item["loc"][0])
         value = f" = {reprlib.repr(fields[name])}" if kind.model_fields[name].repr else ""
         raise ArgumentError(f"{name}{value} is not valid: {item['msg']}") from None
+
+
+def is_this_machine(host: str) -> bool:
+    """Return whether a host is localhost or a loopback address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def masked(address: str) -> str:

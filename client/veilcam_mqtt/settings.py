@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import logging
 import re
 import ssl
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
+
+from veilcam_client.arguments import is_this_machine
 
 log = logging.getLogger("veilcam.mqtt")
 PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0)
@@ -65,7 +66,7 @@ class Broker:
         if not self.encrypted:
             if self.ca_file is not None or self.certificate is not None:
                 raise ValueError("certificates are for mqtts://")
-            if not self.allow_plain and not _is_this_machine(parts.hostname):
+            if not self.allow_plain and not is_this_machine(parts.hostname):
                 raise ValueError(
                     f"{parts.hostname} would be told labels in the clear: use mqtts://, or say "
                     "--allow-plain"
@@ -149,10 +150,3 @@ class Attempts:
         self._said = reason
         await asyncio.sleep(PAUSES[min(self._failures, len(PAUSES) - 1)])
         self._failures += 1
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

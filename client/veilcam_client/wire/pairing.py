@@ -8,7 +8,6 @@ camera's certificate (DER) after them.
 from __future__ import annotations
 
 import base64
-import ipaddress
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Self
@@ -16,6 +15,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from pydantic import Field
 
+from veilcam_client.arguments import is_this_machine
 from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
 from veilcam_client.wire.sealing import (
     EXAMPLE_DEVICE,
@@ -58,7 +58,7 @@ class PairingLine:
         if len(self.secret) != SECRET_BYTES:
             raise ValueError(_WRONG)
         if self.certificate is None:
-            if not self.place.startswith("/") and not _is_loopback(self.place):
+            if not self.place.startswith("/") and not is_loopback(self.place):
                 raise ValueError(
                     "this line leads to another machine and names no certificate: take a line of "
                     "a camera that serves TLS"
@@ -105,12 +105,9 @@ _WRONG = (
 )
 
 
-def _is_loopback(place: str) -> bool:
-    host = urlsplit(f"//{place}").hostname or ""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+def is_loopback(place: str) -> bool:
+    """Return whether a line without a certificate may lead to HOST:PORT."""
+    return is_this_machine(urlsplit(f"//{place}").hostname or "")
 
 
 class PairingRequest(Question):
