@@ -16,7 +16,7 @@ from urllib.parse import quote, unquote, urlsplit
 from pydantic import Field
 
 from veilcam_client.arguments import is_this_machine
-from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 from veilcam_client.wire.sealing import (
     EXAMPLE_DEVICE,
     PairedReceiver,
@@ -150,8 +150,9 @@ class Paired(Answer):
     """Token of the role; None where the camera wants no tokens."""
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         PairingRequest(role="operator"),
         PairingOffer(
             line=str(PairingLine("camera.example:8787", bytes(16), bytes(32))),
@@ -167,4 +168,3 @@ EXAMPLES = Examples(
             token="vc_0123456789ab_" + "0f" * 32,
         ),
     )
-)

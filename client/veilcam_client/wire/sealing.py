@@ -12,7 +12,6 @@ from veilcam_client.wire.base import (
     EXAMPLE_EPOCH,
     EXAMPLE_TIME,
     Answer,
-    Examples,
     Question,
 )
 
@@ -110,11 +109,11 @@ def example_envelope() -> Envelope:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         ReceiverRequest(label="archive", key="veilcam-receiver:c2VhbGVk"),
         example_receiver(),
         Receivers(device=EXAMPLE_DEVICE, receivers=(example_receiver(),)),
         example_envelope(),
     )
-)

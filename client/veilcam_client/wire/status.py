@@ -12,7 +12,6 @@ from veilcam_client.wire.base import (
     API_VERSION,
     EXAMPLE_TIME,
     Answer,
-    Examples,
     installed_version,
 )
 from veilcam_client.wire.bundles import BundleInfo, example_bundle
@@ -196,8 +195,9 @@ def example_status() -> Status:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer, ...]:
+    """Return examples for documents."""
+    return (
         example_status(),
         DoctorFindings(
             findings=(
@@ -226,4 +226,3 @@ EXAMPLES = Examples(
             log_missed=0,
         ),
     )
-)

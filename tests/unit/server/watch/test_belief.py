@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 from tests.unit.server.watch.conftest import LABELS, Look
 
-from veilcam_client.wire.calibration import EXAMPLES, CalibrationStatus, Quantity
+from veilcam_client.wire.calibration import CalibrationStatus, Quantity, examples
 from veilcam_server.masks.source import Evidence
 from veilcam_server.watch.belief import FRESH, PAIRS, Dynamics, Sensing, Thresholds, fuse
 
@@ -132,7 +132,7 @@ def test_thing_is_bright_enough_and_familiar(
 
 
 def test_black_level_that_is_hardly_known_asks_for_more_light() -> None:
-    [status] = [each for each in EXAMPLES if isinstance(each, CalibrationStatus)]
+    [status] = [each for each in examples() if isinstance(each, CalibrationStatus)]
     assert status.signed is not None
     known = status.signed.record.model_copy(
         update={
