@@ -16,7 +16,6 @@ from veilcam_server.bundles.loader import (
     OpenSource,
     bundle_info,
     last_good,
-    note_start,
 )
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
@@ -78,8 +77,19 @@ class BundleManager:
         )
 
     def note_start(self, report: Report) -> None:
-        """Write down which bundle the daemon starts with; ``report`` takes that it cannot be."""
-        note_start(self._store, self._opener, self.keys, report)
+        """Write down which bundle the daemon starts with, unless it is one that had to stand in.
+
+        Args:
+            report: takes that it cannot be made durable.
+        """
+        store, info = self._store, self.keys.info
+        # After a loss nothing is written: every start says it again until a bundle is activated.
+        if info.digest != store.candidates()[0] or store.lost:
+            return
+        try:
+            store.settle(info.digest, self._opener.owners.remember(info, store.used))
+        except StorageError as error:
+            report(StorageError(f"which bundle is in use is not remembered: {error}"))
 
     @property
     def info(self) -> BundleInfo:

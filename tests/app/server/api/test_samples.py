@@ -27,8 +27,8 @@ from tests.unit.server.conftest import make_bundle
 from veilcam_client import Camera, models
 from veilcam_client.errors import ApiError
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.rotation import RotationOff
 from veilcam_client.wire.pairing import PairingLine
+from veilcam_client.wire.rotation import RotationOff
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
 from veilcam_server.api.openapi import document
