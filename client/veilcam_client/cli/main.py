@@ -42,12 +42,7 @@ from veilcam_client.cli.terminal import (
 from veilcam_client.cli.watch import watch
 from veilcam_client.numbers import picture
 from veilcam_client.recording import record as write_recording
-from veilcam_client.wire.rotation import (
-    EveryCaptures,
-    EverySeconds,
-    RotationOff,
-    RotationPolicy,
-)
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,

@@ -7,13 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from veilcam_client.wire.base import (
-    EXAMPLE_DIGEST,
-    EXAMPLE_EPOCH,
-    EXAMPLE_TIME,
-    Answer,
-    Question,
-)
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
 
 Form = Literal["sealed", "raw"]
 """How an embedding leaves: ``sealed`` to the camera's receivers, or ``raw``, as it was read."""

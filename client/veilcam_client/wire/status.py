@@ -8,12 +8,7 @@ from typing import Literal
 
 from pydantic import JsonValue
 
-from veilcam_client.wire.base import (
-    API_VERSION,
-    EXAMPLE_TIME,
-    Answer,
-    installed_version,
-)
+from veilcam_client.wire.base import API_VERSION, EXAMPLE_TIME, Answer, installed_version
 from veilcam_client.wire.bundles import BundleInfo, example_bundle
 from veilcam_client.wire.rotation import Rotation, example_rotation
 from veilcam_client.wire.sealing import EXAMPLE_DEVICE, PairedReceiver, Release, example_receiver

@@ -10,20 +10,10 @@ from pathlib import Path
 from typing import Self
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
-from veilcam_server.bundles.loader import (
-    LoadedBundle,
-    Opener,
-    OpenSource,
-    bundle_info,
-    last_good,
-)
+from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bundle_info, last_good
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
-from veilcam_server.errors import (
-    BundleRefusedError,
-    ProblemError,
-    StorageError,
-)
+from veilcam_server.errors import BundleRefusedError, ProblemError, StorageError
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle

@@ -327,10 +327,7 @@ def _emulate(
     sleep: Callable[[float], None],
 ) -> tuple[Callable[[], Sensor], Callable[[SensorFaults], None]]:
     # Imported late: no real sensor needs it.
-    from veilcam_server.devices.simulated.picamera import (  # noqa: PLC0415
-        CameraFaults,
-        FakePicamera2,
-    )
+    from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2  # noqa: PLC0415
 
     faults = CameraFaults()
     make = partial(FakePicamera2, light, mode=mode, faults=faults, clock=clock, sleep=sleep)

@@ -17,12 +17,7 @@ from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
-from veilcam_server.system.state_file import (
-    Report,
-    StateStore,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.system.state_file import Report, StateStore, log_fault, make_directory
 from veilcam_server.system.state_folder import unusable
 
 KEPT = 90 * 86_400.0
