@@ -97,7 +97,7 @@ class Names:
     """Names of a camera in the house.
 
     Attributes:
-        node: id of the device, and a level of its topics.
+        node: id of the device, and a level of its topics; empty: made of the camera's key.
         base: first level of its topics.
         discovery: prefix under which Home Assistant looks for devices.
 
@@ -105,12 +105,12 @@ class Names:
         ValueError: a name that cannot stand in a topic.
     """
 
-    node: str
+    node: str = ""
     base: str = "veilcam"
     discovery: str = "homeassistant"
 
     def __post_init__(self) -> None:
-        for name in (self.node, self.base, self.discovery):
+        for name in (self.node or "veilcam", self.base, self.discovery):
             if not _LEVEL.fullmatch(name):
                 raise ValueError(f"{name!r} is no level of a topic: use letters, digits, _ and -")
 
