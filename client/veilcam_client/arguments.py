@@ -41,13 +41,6 @@ def of_type(name: str, value: object, kinds: type | tuple[type, ...], use: str) 
         raise ArgumentError(f"{name} cannot be a {type(value).__name__}: use {use}")
 
 
-def segment(name: str, value: object) -> str:
-    """Return a name that can be one part of a path; raises ArgumentError."""
-    if not isinstance(value, str) or value in ("", ".", ".."):
-        raise ArgumentError(f"{name} = {reprlib.repr(value)} is not valid: use the one that it has")
-    return value
-
-
 def model(kind: type[ModelT], fields: Mapping[str, object]) -> ModelT:
     """Return the question that arguments make; raises ArgumentError for the first at fault."""
     try:

@@ -84,7 +84,7 @@ async def offer_pairing(
     status_code=201,
     responses=open_problems(
         *("unauthorized", "too_many_requests", "body_too_large", "invalid_request"),
-        *(*CHANGE, "not_enabled", "conflict", "conflict"),
+        *(*CHANGE, "not_enabled", "conflict"),
     ),
 )
 async def claim_pairing(
