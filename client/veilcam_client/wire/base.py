@@ -3,16 +3,16 @@
 The server answers with these models and the SDK reads them. What is asked is closed (a field that
 is not known is refused); what is answered is open (a field that a newer server adds is ignored).
 What fails is answered with a problem (RFC 9457), of which the SDK makes an error.
-Times in seconds, wall-clock times in UTC. ``EXAMPLES`` of a module stand in the OpenAPI document.
+Times in seconds, wall-clock times in UTC. ``examples()`` of a module stand in the OpenAPI document.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache, cached_property
+from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -46,7 +46,6 @@ _BY_CODE: Mapping[str, type[ApiError]] = {
     "leased": LeasedError,
 }
 _BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
-ExampleT = TypeVar("ExampleT")
 
 
 class Described(BaseModel):
@@ -139,29 +138,6 @@ class Question(Result):
     model_config: ClassVar[ConfigDict] = ConfigDict(
         strict=True, frozen=True, extra="forbid", allow_inf_nan=False
     )
-
-
-class Examples(Sequence[ExampleT]):
-    """Examples for documents, which are made when somebody looks: who asks a camera needs none."""
-
-    def __init__(self, make: Callable[[], Sequence[ExampleT]]) -> None:
-        self._make = make
-
-    @cached_property
-    def _made(self) -> Sequence[ExampleT]:
-        return self._make()
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    @overload
-    def __getitem__(self, place: int) -> ExampleT: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[ExampleT]: ...
-
-    def __getitem__(self, place: int | slice) -> ExampleT | Sequence[ExampleT]:
-        return self._made[place]
 
 
 @cache

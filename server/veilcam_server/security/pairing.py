@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import secrets
 import threading
@@ -24,10 +23,8 @@ from veilcam_client.wire.pairing import (
 )
 from veilcam_client.wire.tokens import ROLES, NewToken, Role
 from veilcam_server.errors import NamedError, UnauthorizedError
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import NO_DIGEST, TokenStore, secret_digest
 from veilcam_server.system.state_file import Report, StateStore, log_fault
-
-_NO_DIGEST = 64 * "0"
 
 
 class WrongClaimError(NamedError, code="unauthorized"):
@@ -132,7 +129,7 @@ class PairingOffers:
         certificate = None if place.startswith("/") else self.certificate
         line = PairingLine(place, secrets.token_bytes(SECRET_BYTES), certificate)
         offer = _Offer(
-            digest=_digest(line.secret.hex()),
+            digest=secret_digest(line.secret.hex()),
             role=role,
             maker=maker,
             expires=self._now() + OFFER_SECONDS,
@@ -161,7 +158,7 @@ class PairingOffers:
         with self._lock:
             offer = self._file.read()
             right = hmac.compare_digest(
-                _digest(secret), _NO_DIGEST if offer is None else offer.digest
+                secret_digest(secret), NO_DIGEST if offer is None else offer.digest
             )
             found = self._opened(offer)
             if found is None or offer is None:
@@ -199,7 +196,3 @@ def qr_code(line: str) -> tuple[str, ...]:
     import segno  # noqa: PLC0415 - most daemons draw none
 
     return tuple("".join(map(str, row)) for row in segno.make_qr(line).matrix)
-
-
-def _digest(secret: str) -> str:
-    return hashlib.sha256(secret.encode()).hexdigest()

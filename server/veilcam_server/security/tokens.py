@@ -13,22 +13,19 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
-from veilcam_server.system.state_file import (
-    Report,
-    StateStore,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.system.state_file import Report, StateStore, log_fault, make_directory
 from veilcam_server.system.state_folder import unusable
 
 KEPT = 90 * 86_400.0
 """How long a token that was revoked, or has expired, stays on the list [s]."""
 _PAUSE = 60.0
 """Before the day of a use is written again, where that failed [s]."""
+NO_DIGEST = 64 * "0"
+"""Digest of no secret."""
 _TOKEN = re.compile(r"(?i:bearer) vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
 
 
@@ -74,13 +71,6 @@ class _Row(BaseModel):
     revoked: float | None = None
     used: str | None = None
     digest: str
-
-    @field_validator("scopes")
-    @classmethod
-    def _one_scope_of_scores(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:
-        """Read a scope that is gone as what it allowed: scores in tenths."""
-        now = ("read:scores" if each == "read:scores:rounded" else each for each in scopes)
-        return tuple(dict.fromkeys(now))
 
     @property
     def ended(self) -> float:
@@ -194,7 +184,7 @@ class TokenStore:
             scopes=tuple(sorted(set(scopes))),
             created=now,
             expires=until if lifetime is None else now + lifetime,
-            digest=_digest(secret),
+            digest=secret_digest(secret),
         )
 
         def add(held: _Tokens) -> _Tokens:
@@ -250,7 +240,7 @@ class TokenStore:
         match = _TOKEN.fullmatch(authorization)
         token_id, secret = match.groups() if match else ("", "")
         row = self._known.get(token_id)
-        right = hmac.compare_digest(_digest(secret), row.digest if row else _NO_DIGEST)
+        right = hmac.compare_digest(secret_digest(secret), row.digest if row else NO_DIGEST)
         return self._admitted(row if right else None)
 
     def caller_of(self, token_id: str) -> Caller:
@@ -304,9 +294,6 @@ class TokenStore:
         return now
 
 
-_NO_DIGEST = 64 * "0"
-
-
 def _advanced(held: _Tokens, now: float, rows: Mapping[str, _Row]) -> _Tokens:
     # Not at every use: one second in which the clock stands in 2099 would end tokens for good.
     return _Tokens(seen=max(held.seen, now), tokens=tuple(rows.values()))
@@ -321,7 +308,8 @@ def _by_id(held: _Tokens) -> dict[str, _Row]:
     return {row.id: row for row in held.tokens}
 
 
-def _digest(secret: str) -> str:
+def secret_digest(secret: str) -> str:
+    """Return the SHA-256 of a secret, as files have it."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 

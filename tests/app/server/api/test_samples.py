@@ -72,15 +72,14 @@ class Daemon:
                 (self.folder / "cookies").write_text("\t".join(row) + "\n")
             case "revoke_token":
                 names["TOKEN_ID"] = camera.tokens.create("gone", ["classify"], seconds=60).id
-            case "add_receiver" | "remove_receiver":
+            case "add_receiver" | "remove_receiver" | "claim_pairing":
                 key = ReceiverKey.generate().public
                 names["RECEIVER_KEY"] = str(key)
                 if operation == "remove_receiver":
                     names["RECEIVER_ID"] = camera.receivers.add("gone", key).id
-            case "claim_pairing":
-                names["RECEIVER_KEY"] = str(ReceiverKey.generate().public)
-                line = camera.receivers.offer().line
-                names["SECRET"] = PairingLine.parse(line).secret.hex()
+                if operation == "claim_pairing":
+                    line = PairingLine.parse(camera.receivers.offer().line)
+                    names["SECRET"] = line.secret.hex()
             case "activate_bundle" | "remove_bundle":
                 first = next(each for each in camera.bundles.list().bundles if each.configured)
                 camera.bundles.activate(first.digest)

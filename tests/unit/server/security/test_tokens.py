@@ -8,7 +8,6 @@ import stat
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,18 +91,6 @@ def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
     store.create("of another version", scopes, None)
     with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
         TokenStore(tmp_path)
-
-
-def test_token_with_the_scope_of_rounded_scores_reads_scores(tmp_path: Path) -> None:
-    """As it was stored when scores in tenths had a scope of their own."""
-    store = TokenStore(tmp_path)
-    made = [make(store, "classify"), make(store, "classify", "read:scores")]
-    for path in tmp_path.glob("tokens.json*"):
-        content = path.read_bytes().partition(b" ")[2]
-        content = content.replace(b'"classify"', b'"classify","read:scores:rounded"')
-        path.write_bytes(sha256(content).hexdigest().encode() + b" " + content)
-    scopes = [who(TokenStore(tmp_path), each.secret).scopes for each in made]
-    assert scopes == 2 * [{"classify", "read:scores"}]
 
 
 def test_token_is_its_label_and_scopes(store: TokenStore) -> None:
