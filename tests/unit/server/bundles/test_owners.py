@@ -164,7 +164,10 @@ async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, m
         await service.activate_bundle(old, allow_older=True)
         await service.activate_bundle(new)
     changes = [event for event in heard if isinstance(event, BundleChanged)]
-    assert [(each.version, each.older) for each in changes] == [(4, False), (3, True), (4, False)]
+    assert [(each.digest, each.version, each.older) for each in changes] == [
+        *((new, 4, False), (old, 3, True), (new, 4, False))
+    ]
+    assert {each.task for each in changes} == {"mnist"}
 
 
 async def test_key_to_repeat_with_is_of_one_answer_to_older(running: Running, make: Make) -> None:
