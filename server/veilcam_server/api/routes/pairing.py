@@ -113,12 +113,9 @@ def _pair(
 ) -> tuple[Paired, str | None]:
     """Return what the claim is answered with, and the id of its token."""
     with offers.claimed(question.secret) as offer:
-        made = pairing.add_now(question)
-        try:
-            token = offer.token(question.label)
-        except Exception:
-            pairing.remove_now(made.id)
-            raise
+        with offer.token(question.label) as token:
+            made = pairing.pair(question)
+        pairing.renew()
     secret, token_id = (None, None) if token is None else (token.secret, token.id)
     paired = Paired(device=pairing.device, receiver=made, role=offer.role, token=secret)
     return paired, token_id
