@@ -58,7 +58,7 @@ router = APIRouter(prefix=PREFIX, redirect_slashes=False, tags=["Receivers"])
 @router.post(
     "",
     status_code=201,
-    dependencies=[requires("admin:receivers"), Depends(_pairing)],
+    dependencies=[requires("admin:receivers"), requires("admin:tokens"), Depends(_pairing)],
     responses=problems(*BODY, *CHANGE, "not_enabled", "conflict"),
 )
 async def offer_pairing(
