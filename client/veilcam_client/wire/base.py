@@ -79,8 +79,14 @@ class Answer(Result):
 
     # Deferred: of some sixty answers a program reads a few, and each takes a millisecond to build.
     # Questions are few, and FastAPI warns of those that it cannot build where it defines a route.
+    # A traceback may end up anywhere, and answers and questions may hold tokens: it repeats none.
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True
+        strict=True,
+        frozen=True,
+        extra="ignore",
+        allow_inf_nan=False,
+        defer_build=True,
+        hide_input_in_errors=True,
     )
 
     def __array__(
@@ -121,8 +127,10 @@ class Problem(Described):
     def error(self, retry_after: float | None = None) -> ApiError:
         """Return the error to raise, chosen by the code or else by the HTTP status."""
         kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, ApiError)
+        # A claim goes without a token.
+        hint = self.code == "unauthorized" and not self.instance.endswith("/claim")
         return kind(
-            f"{self.detail} ({UNAUTHORIZED_HINT})" if self.code == "unauthorized" else self.detail,
+            f"{self.detail} ({UNAUTHORIZED_HINT})" if hint else self.detail,
             code=self.code,
             status=self.status,
             request_id=self.request_id,
@@ -136,7 +144,11 @@ class Question(Result):
     """Base of requests: checked strictly, and closed to unknown fields."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        strict=True, frozen=True, extra="forbid", allow_inf_nan=False
+        strict=True,
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        hide_input_in_errors=True,
     )
 
 

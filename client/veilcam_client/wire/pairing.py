@@ -83,7 +83,8 @@ class PairingLine:
         """Read a line; raises ValueError, whose message does not repeat it."""
         try:
             parts = urlsplit(text.strip())
-            data = base64.b64decode(parts.fragment + "==", altchars=b"-_", validate=True)
+            padding = "=" * (-len(parts.fragment) % 4)
+            data = base64.b64decode(parts.fragment + padding, altchars=b"-_", validate=True)
             if parts.scheme != _SCHEME or parts.query or parts.username or parts.password:
                 raise ValueError
             if parts.netloc:

@@ -7,7 +7,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -67,11 +67,11 @@ class ClaimedOffer:
     until: float | None
     tokens: TokenStore | None
 
-    def token(self, label: str) -> NewToken | None:
-        """Make the token, if the daemon wants any; raises :class:`StorageError`."""
+    def token(self, label: str) -> AbstractContextManager[NewToken | None]:
+        """Return the context of :meth:`TokenStore.creating`; None where no tokens are wanted."""
         if self.tokens is None:
-            return None
-        return self.tokens.create(label, ROLES[self.role], until=self.until)
+            return nullcontext()
+        return self.tokens.creating(label, ROLES[self.role], until=self.until)
 
 
 class PairingOffers:

@@ -8,7 +8,8 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -161,10 +162,26 @@ class TokenStore:
         scopes: tuple[Scope, ...],
         lifetime: float | None = None,
         *,
-        until: float | None = None,
         first: bool = False,
     ) -> NewToken:
-        """Make a token.
+        """Make a token; arguments and errors as :meth:`creating`."""
+        with self.creating(label, scopes, lifetime, first=first) as made:
+            return made
+
+    @contextmanager
+    def creating(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None = None,
+        *,
+        until: float | None = None,
+        first: bool = False,
+    ) -> Iterator[NewToken]:
+        """Yield a token that is valid when the context has ended, unless that raises.
+
+        What a full disk can prevent, it prevents before the context begins. The context is short,
+        since no other process changes the tokens meanwhile.
 
         Args:
             label: label for people.
@@ -197,8 +214,9 @@ class TokenStore:
                 )
             return _advanced(held, now, {**_current(held, now), row.id: row})
 
-        self._change(add)
-        return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
+        with closing(self._file.stage(lambda held: add(held or _Tokens()))) as staged:
+            yield NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
+            staged.commit()
 
     def tokens(self) -> tuple[Token, ...]:
         """All tokens, the oldest first; raises :class:`StorageError`."""

@@ -57,7 +57,7 @@ router = APIRouter(prefix=PREFIX, redirect_slashes=False, tags=["Receivers"])
 @router.post(
     "",
     status_code=201,
-    dependencies=[requires("admin:receivers"), Depends(_pairing)],
+    dependencies=[requires("admin:receivers"), requires("admin:tokens"), Depends(_pairing)],
     responses=problems(*BODY, *CHANGE, "not_enabled", "conflict"),
 )
 async def offer_pairing(
@@ -112,12 +112,9 @@ def _pair(
 ) -> tuple[Paired, str | None]:
     """Return what the claim is answered with, and the id of its token."""
     with offers.claimed(question.secret) as offer:
-        made = pairing.add_now(question)
-        try:
-            token = offer.token(question.label)
-        except Exception:
-            pairing.remove_now(made.id)
-            raise
+        with offer.token(question.label) as token:
+            made = pairing.pair(question)
+        pairing.renew()
     secret, token_id = (None, None) if token is None else (token.secret, token.id)
     paired = Paired(device=pairing.device, receiver=made, role=offer.role, token=secret)
     return paired, token_id

@@ -219,7 +219,7 @@ def test_disk_that_takes_nothing_refuses_no_request(
         raise StorageError("written (No space left on device): check the disk")
 
     with monkeypatch.context() as patch:
-        patch.setattr(store._file, "change", fail)
+        patch.setattr(store._file, "stage", fail)
         for _ in range(3):
             who(store, made.secret)
         assert len(tried) == 1
