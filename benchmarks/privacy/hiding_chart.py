@@ -35,7 +35,7 @@ from veilcam_training.data import Source, open_source
 from veilcam_training.encoders import ENCODERS, Encoder, FixedEncoder, LearnedMask, Mask, Setup
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.encoders.imperfections import make_operators
-from veilcam_training.experiments.fit import COPIES, run_fit, run_fresh
+from veilcam_training.experiments.fit import ATTEMPTS, run_fit, run_fresh
 from veilcam_training.experiments.model import make_model, prepare
 from veilcam_training.hiding.eye import drawn_eye
 from veilcam_training.hiding.masks import Draw
@@ -116,7 +116,7 @@ class Bench:
         settings = load_settings(None, self.asked | {"seed": seed})
         model = make_model(settings, self.source, self.camera)
         mask = cast(LearnedMask, model.encoder)
-        mask.hide(COPIES[0] if fitted.hidden else 0)
+        mask.hide(ATTEMPTS[0][0] if fitted.hidden else 0)
         prepare(model, settings, self.training)
         return to_weights(mask.levels(), self.camera.panel)
 

@@ -99,14 +99,9 @@ LIGHT: Figures = {
     ),
 }
 UNUSED: Figures = {
-    "fresh_mnist_24x32": (
-        "fresh-masks",
-        "MNIST behind masks never used before, 24 x 32",
-        "{:.2f} %",
-    ),
     "fresh_mnist_shift": (
         "fresh-masks",
-        "the same, digits anywhere in the field of view",
+        "MNIST anywhere in the field of view, behind masks never used before, 24 x 32",
         "{:.2f} %",
     ),
     "prepare_ms": ("fresh-masks", "preparing such a mask, on one core", "{:.0f} ms"),
@@ -129,7 +124,7 @@ _ALL = TRAINED | LIGHT | UNUSED | DAEMON | KEYS
 HEADLINES: Figures = {
     name: _ALL[name]
     for name in (
-        "fresh_mnist_24x32",
+        "fresh_accuracy_sealed",
         "clear_part_auc",
         "past_opened",
         "step_time_waveprop_over_ours",

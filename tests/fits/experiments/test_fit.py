@@ -246,3 +246,30 @@ def test_of_a_psf_the_content_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         assert len(same | {beside.fingerprint(FILES)}) == 2
         with pytest.raises(TrainingError, match="there is no measured PSF"):
             _ = settings(**told).psf_file
+
+
+@pytest.mark.parametrize(
+    ("seen", "starts"),
+    [
+        ((0.0,), (7,)),
+        ((0.04, 0.04), (7, 7)),  # more than a fit allows itself, less than a daemon does
+        ((0.2, 0.2, 0.0), (7, 7, 8)),
+        ((0.2, 0.2, 0.2, 0.2), (7, 7, 8, 9)),
+    ],
+)
+def test_mask_that_shows_the_scene_is_learned_again_from_another_start(
+    source: Source, monkeypatch: pytest.MonkeyPatch, seen: tuple[float, ...], starts: tuple[int]
+) -> None:
+    made: list[int] = []
+
+    def make(chosen: FitSettings, *rest: Any) -> Any:
+        made.append(chosen.seed)
+        return make_model(chosen, *rest)
+
+    eye = Mock(random=0.0, seen=lambda _: seen[len(made) - 1])
+    monkeypatch.setattr(fitting, "_eye", lambda _: eye)
+    monkeypatch.setattr(fitting, "make_model", make)
+    monkeypatch.setattr(fitting, "prepare", lambda *_: None)
+    monkeypatch.setattr(fitting, "_in_stages", lambda model, *_, **__: Mock(model=model))
+    run_fit(settings(seed=7, classifier="Scene8"), source, Camera())
+    assert tuple(made) == starts

@@ -47,9 +47,9 @@ CHECKED_ENTRIES = 16
 SEED_BITS = 63
 CLOSING = 8.0
 """Processor time that is kept of a budget for the test, the bundle and the report [s]."""
-COPIES = (0.95, 1.25)
-"""Least counts of copies, as shares of those of random masks: of the first attempt, and of a second
-one where an eye sees the scene all the same."""
+ATTEMPTS = ((0.95, 0), (1.25, 0), (1.25, 1), (1.6, 2))
+"""Attempts to learn a mask; the next one is made where an eye sees the scene behind the last.
+Least count of copies, as a share of that of random masks, and what is added to the start's seed."""
 SECOND: Mapping[str, object] = {"optimiser": "adam", "rate": 1e-3, "weight_decay": 0.0}
 """Changes of the settings in the second stage of a fit."""
 TEST_MASKS = 200
@@ -137,17 +137,21 @@ def run_fit(
         callback.stage("learning the mask")
     eye = _eye(model) if settings.hidden else None
     known: SceneStatistics | None = None
-    for attempt, least in enumerate((0.0,) if eye is None else COPIES):
+    for attempt, (least, start) in enumerate(((0.0, 0),) if eye is None else ATTEMPTS):
         if attempt:
-            model = make_model(settings, source, camera).to(device)
+            started = settings.model_copy(update={"seed": settings.seed + start})
+            model = make_model(started, source, camera).to(device)
         if isinstance(model.encoder, LearnedMask):
             model.encoder.hide(least)
         known = prepare(model, settings, parts.training, known)
-        again = attempt + 1 < len(COPIES)
-        if again and model.measures_once and not settings.end_to_end and _seen(eye, model):
+        again = attempt + 1 < len(ATTEMPTS)
+        # A second attempt costs little; further ones are for masks that a daemon refuses.
+        margin = MARGIN if attempt else MARGIN / 2
+        held_fast = model.measures_once and not settings.end_to_end
+        if again and held_fast and _seen(eye, model, margin):
             continue  # what is learned from now on is the classifier alone
         tested: Tensor | None = None
-        if model.measures_once and not settings.end_to_end:
+        if held_fast:
             held(model)
             tested = measure(model, test, settings.seed, "test")
         fitted = _in_stages(
@@ -160,7 +164,7 @@ def run_fit(
             until=None if budget is None else begun + budget - CLOSING,
             begun=begun,
         )
-        if not (again and _seen(eye, model)):
+        if not (again and _seen(eye, model, margin)):
             break
     if tested is None:
         tested = measure(fitted.model, test, settings.seed, "test")
@@ -194,13 +198,13 @@ def _eye(model: LenslessClassifier) -> Eye | None:
     return eye if eye.pinhole >= LEAST_PINHOLE else None
 
 
-def _seen(eye: Eye | None, model: LenslessClassifier) -> bool:
-    """Return whether an eye sees more behind a mask than a fit allows itself."""
+def _seen(eye: Eye | None, model: LenslessClassifier, margin: float) -> bool:
+    """Return whether an eye sees more behind a mask than behind random ones, and a margin."""
     encoder = model.encoder
     if eye is None or not isinstance(encoder, LearnedMask):
         return False
     weights = to_weights(encoder.levels(), encoder.setup.camera.panel)
-    return eye.seen(weights) > eye.random + MARGIN / 2
+    return eye.seen(weights) > eye.random + margin
 
 
 def _in_stages(

@@ -132,8 +132,3 @@ def test_after_a_loss_every_stored_mask_is_spent_also_after_a_restart(
     for path in tmp_path.glob(f"{NAME}*"):  # as the fault says, and with what was left
         path.rename(tmp_path / f"away-{path.name}")
     assert not ReleaseBudget(tmp_path, 5).is_spent(stored(), "raw")
-
-
-def test_number_that_cannot_be_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="raw = -1 is not valid: use 0 or more"):
-        ReleaseBudget(tmp_path, -1)

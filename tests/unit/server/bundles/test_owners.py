@@ -21,7 +21,8 @@ from veilcam_client.wire.bundles import (
     InstalledBundles,
 )
 from veilcam_client.wire.events import BundleChanged, Event
-from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good, note_start
+from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good
+from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
@@ -200,7 +201,7 @@ class Starts:
         opener = Opener(bundle, load_pairs, self.owners)
         faults: list[ProblemError] = []
         keys = last_good(store, opener, bundle, faults.append, allow_older=allow_older)
-        note_start(store, opener, keys, faults.append)
+        BundleManager(store, opener, keys).note_start(faults.append)
         return keys.info.version, [str(fault) for fault in faults]
 
     def activate(self, configured: Path, path: Path) -> Path:

@@ -39,7 +39,7 @@ def test_capture_names_what_vouches_for_it(bench: Bench, camera: MaskedCamera) -
     assert first.mask == again.mask
     assert 0 < first.tested < again.tested
     assert first.calibration is None
-    [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
+    [signed] = [each.signed for each in calibration.examples() if hasattr(each, "signed")]
     assert signed is not None
     with camera.exclusive():
         camera.adopt(signed, 0.0, bench.source)

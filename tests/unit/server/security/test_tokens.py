@@ -7,7 +7,6 @@ import stat
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,18 +86,6 @@ def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
     store.create("of another version", scopes, None)
     with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
         TokenStore(tmp_path)
-
-
-def test_token_with_the_scope_of_rounded_scores_reads_scores(tmp_path: Path) -> None:
-    """As it was stored when scores in tenths had a scope of their own."""
-    store = TokenStore(tmp_path)
-    made = [make(store, "classify"), make(store, "classify", "read:scores")]
-    for path in tmp_path.glob("tokens.json*"):
-        content = path.read_bytes().partition(b" ")[2]
-        content = content.replace(b'"classify"', b'"classify","read:scores:rounded"')
-        path.write_bytes(sha256(content).hexdigest().encode() + b" " + content)
-    scopes = [who(TokenStore(tmp_path), each.secret).scopes for each in made]
-    assert scopes == 2 * [{"classify", "read:scores"}]
 
 
 def test_token_is_its_label_and_scopes(store: TokenStore) -> None:
@@ -232,7 +219,7 @@ def test_disk_that_takes_nothing_refuses_no_request(
         raise StorageError("written (No space left on device): check the disk")
 
     with monkeypatch.context() as patch:
-        patch.setattr(store._file, "change", fail)
+        patch.setattr(store._file, "stage", fail)
         for _ in range(3):
             who(store, made.secret)
         assert len(tried) == 1
