@@ -442,6 +442,8 @@ def test_measured_filters_take_the_place_of_leakage() -> None:
     table = ((0.9, 0.1, 0.0), (0.2, 0.8, 0.1), (0.0, 0.3, 0.7))
     camera = replace(CAMERA, panel=Panel(filter_leakage=0.5, filter_amplitudes=table))
     assert camera.row_amplitudes(1)[:3] == (0.1, 0.8, 0.3)
+    leaky = replace(CAMERA, panel=Panel(filter_leakage=0.5))
+    assert leaky.row_amplitudes(1)[:3] == (0.5, 1.0, 0.5)
     with pytest.raises(OpticsError, match="filter_amplitudes"):
         Panel(filter_amplitudes=((1.0, 0.0, 0.0),))
 
