@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import numbers
 import reprlib
@@ -40,13 +41,6 @@ def of_type(name: str, value: object, kinds: type | tuple[type, ...], use: str) 
         raise ArgumentError(f"{name} cannot be a {type(value).__name__}: use {use}")
 
 
-def segment(name: str, value: object) -> str:
-    """Return a name that can be one part of a path; raises ArgumentError."""
-    if not isinstance(value, str) or value in ("", ".", ".."):
-        raise ArgumentError(f"{name} = {reprlib.repr(value)} is not valid: use the one that it has")
-    return value
-
-
 def model(kind: type[ModelT], fields: Mapping[str, object]) -> ModelT:
     """Return the question that arguments make; raises ArgumentError for the first at fault."""
     try:
@@ -58,6 +52,14 @@ def model(kind: type[ModelT], fields: Mapping[str, object]) -> ModelT:
         name = str(item["loc"][0])
         value = f" = {reprlib.repr(fields[name])}" if kind.model_fields[name].repr else ""
         raise ArgumentError(f"{name}{value} is not valid: {item['msg']}") from None
+
+
+def is_this_machine(host: str) -> bool:
+    """Return whether a host is localhost or a loopback address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def masked(address: str) -> str:

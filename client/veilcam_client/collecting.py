@@ -25,6 +25,7 @@ from veilcam_client.wire.simulation import HeldScene
 from veilcam_client.wire.status import Status
 
 if TYPE_CHECKING:
+    from veilcam_client.camera import Camera
     from veilcam_client.keys.receivers import ReceiverKey
 
 PICTURES = (".png", ".jpg", ".jpeg", ".mpo", ".webp", ".bmp", ".tif", ".tiff", ".gif")
@@ -40,16 +41,6 @@ class Shot:
     """Its file; None: a person has put something there."""
     name: str | None = None
     """What the picture is called in the file of measurements; it is measured once."""
-
-
-class Collectable(Protocol):
-    """A camera, as far as it is measured."""
-
-    def status(self) -> Status:
-        """State, device, bundle and release."""
-
-    def capture(self) -> Capture:
-        """Take one embedding."""
 
 
 class SceneHolder(Protocol):
@@ -121,7 +112,7 @@ def labelled_pictures(folder: Path, *, per_class: int | None = None) -> tuple[Sh
 
 
 def collect(
-    camera: Collectable,
+    camera: Camera,
     path: Path,
     shots: Iterable[Shot],
     *,
@@ -183,7 +174,7 @@ class _Taker:
     """Takes measurements, and opens what comes sealed."""
 
     def __init__(
-        self, camera: Collectable, status: Status, key: ReceiverKey | None, device: str | None
+        self, camera: Camera, status: Status, key: ReceiverKey | None, device: str | None
     ) -> None:
         self.header = _header(status, key)
         self._camera, self._key = camera, key

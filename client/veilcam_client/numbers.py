@@ -21,6 +21,8 @@ _NPY = re.compile(
 """The header that NumPy writes; any other one is none of a daemon's."""
 _PICTURE = 256
 """Rows or columns that a picture has at least, so that its pixels are seen [pixels]."""
+_DARKEST, _GREYS = 232, 24
+"""The first grey of the 256 colours of a terminal (xterm), and how many there are."""
 
 
 def npy_bytes(picture: npt.ArrayLike) -> bytes:
@@ -135,4 +137,24 @@ def _png(grey: npt.NDArray[np.uint8]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
         for name, data in parts
+    )
+
+
+def in_blocks(values: Float32) -> str:
+    """Draw an array for a terminal, two values a character; the smallest value is the darkest.
+
+    Args:
+        values: (rows, columns), or (channels, rows, columns), which are drawn side by side.
+    """
+    across = flat(values)
+    low, high = across.min(), across.max()
+    greys = _DARKEST + np.rint((across - low) * ((_GREYS - 1) / ((high - low) or 1.0))).astype(int)
+    if len(greys) % 2:
+        greys = np.concatenate([greys, np.full_like(greys[:1], _DARKEST)])
+    return "\n".join(
+        "".join(
+            f"\x1b[38;5;{upper};48;5;{lower}m▀" for upper, lower in zip(above, below, strict=True)
+        )
+        + "\x1b[0m"
+        for above, below in zip(greys[::2], greys[1::2], strict=True)
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -151,7 +152,7 @@ def _default() -> Profile | None:
 def _read(path: Path) -> tuple[str, _File]:
     """Return the text of the file, and the profiles in it."""
     try:
-        with path.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8-sig") as stream:  # some editors put a mark in front
             if os.fstat(stream.fileno()).st_mode & 0o022:
                 raise ArgumentError(f"{path} can be changed by others: run chmod 600 {path}")
             text = stream.read()
@@ -188,30 +189,30 @@ def new_profile(
         FileError: a file cannot be written.
     """
     path = profiles_path()
-    folder, known = path.parent, _read(path)[1].profiles if path.exists() else {}
+    folder = path.parent
     if re.fullmatch(_NAME, wanted) is None:
         raise ArgumentError(f"{wanted!r} is no name of a profile: use letters, digits, _ and -")
-    if exact and wanted in known:
-        raise ArgumentError(f"{path} has a profile {wanted!r} already: give another name")
-    name, number = wanted, 1
-    while not exact and (name in known or (folder / f"{name}.key").exists()):
-        name = f"{wanted}-{(number := number + 1)}"
-    key_file, token_file = folder / f"{name}.key", folder / f"{name}.token"
-
-    def save(made: Profile) -> bool:
-        rows = {"url": made.url, "certificate": made.certificate, "device": made.device}
-        rows |= {"key": key_file.name, "token_file": made.token and token_file.name}
-        if made.token:
-            undo.callback(token_file.unlink, missing_ok=True)
-            _write(token_file, f"{made.token}\n")
-        return _append(path, name, {of: value for of, value in rows.items() if value})
-
     try:
-        with ExitStack() as undo:
-            if not folder.exists():
-                undo.callback(folder.rmdir)
-            folder.mkdir(parents=True, exist_ok=True)
-            folder.chmod(0o700)
+        with _alone(folder), ExitStack() as undo:
+            known = _read(path)[1].profiles if path.exists() else {}
+            if exact and wanted in known:
+                raise ArgumentError(f"{path} has a profile {wanted!r} already: give another name")
+            name, number = wanted, 1
+            while not exact and (name in known or (folder / f"{name}.key").exists()):
+                name = f"{wanted}-{(number := number + 1)}"
+            key_file, token_file = folder / f"{name}.key", folder / f"{name}.token"
+
+            def save(made: Profile) -> bool:
+                rows = {"url": made.url, "certificate": made.certificate, "device": made.device}
+                rows |= {"key": key_file.name, "token_file": made.token and token_file.name}
+                if made.token:
+                    undo.callback(token_file.unlink, missing_ok=True)
+                    _write(token_file, f"{made.token}\n")
+                text, first = _added(path, name, {of: value for of, value in rows.items() if value})
+                _write(path.resolve(), text)  # a link stays one
+                return first
+
+            _added(path, name, None)  # a line is used once: what cannot be saved is not claimed
             key.write(key_file)
             undo.callback(key_file.unlink)
             yield name, save
@@ -220,11 +221,37 @@ def new_profile(
         raise FileError(f"{folder} cannot be written ({error.strerror}): check it") from None
 
 
-def _append(path: Path, name: str, rows: Mapping[str, str]) -> bool:
-    """Write the file with one profile more; return whether that is the default."""
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Make a folder of this user alone, and keep other pairings out of it meanwhile."""
+    folder.parent.mkdir(0o700, parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)
+    folder.chmod(0o700)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    except BaseException:
+        with suppress(OSError):  # others' files are in it
+            folder.rmdir()
+        raise
+    finally:
+        os.close(descriptor)
+
+
+def _added(path: Path, name: str, rows: Mapping[str, str] | None) -> tuple[str, bool]:
+    """Return the file's text with one profile more, and whether that is the default.
+
+    Args:
+        path: path of the file.
+        name: name of the profile.
+        rows: rows of the profile; None: a trial, as the default.
+    """
     text, kept = _read(path) if path.exists() else ("", _File())
     before = kept.profiles.get(kept.default or "")
-    first = kept.default is None or (before is not None and before.device == rows.get("device"))
+    rows, first = rows or {}, rows is None or kept.default is None
+    first = first or (before is not None and before.device == rows.get("device"))
     if first:
         rest = re.sub(r"(?m)^default\b.*\n?", "", text, count=1) if kept.default else text
         text = f'default = "{name}"\n{rest}'
@@ -234,8 +261,7 @@ def _append(path: Path, name: str, rows: Mapping[str, str]) -> bool:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise FileError(f"{path} is written in a way that no profile can be added to") from None
-    _write(path.resolve(), text)  # a link stays one
-    return first
+    return text, first
 
 
 def _write(path: Path, text: str) -> None:

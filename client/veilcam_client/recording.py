@@ -5,20 +5,25 @@ with its label where it was asked for. What came sealed stays sealed, unless the
 then it is raw, and whoever may read the file may read it.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, Literal, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 from pydantic import ValidationError
 
 from veilcam_client.arguments import of_type, whole
 from veilcam_client.errors import FileError
 from veilcam_client.wire.base import Answer
-from veilcam_client.wire.captures import Capture, Classification, Prediction
+from veilcam_client.wire.captures import Capture, Prediction
 from veilcam_client.wire.status import Status
+
+if TYPE_CHECKING:
+    from veilcam_client.camera import Camera
 
 MAX_BYTES = 2**28
 """Of a recording: some 16,000 captures of 24 x 32 [bytes]."""
@@ -50,21 +55,8 @@ class Recording:
     captures: tuple[Recorded, ...]
 
 
-class Recordable(Protocol):
-    """A camera, as far as it is recorded."""
-
-    def status(self) -> Status:
-        """State, device, bundle and release."""
-
-    def capture(self) -> Capture:
-        """Take one embedding."""
-
-    def classify(self, *, include_embedding: bool = False) -> Classification:
-        """Take one embedding and classify it."""
-
-
 def record(
-    camera: Recordable,
+    camera: Camera,
     path: Path,
     *,
     count: int,
@@ -141,7 +133,7 @@ def read_recording(path: Path) -> Recording:
     return Recording(header, captures)
 
 
-def _take(camera: Recordable, *, labels: bool) -> Recorded:
+def _take(camera: Camera, *, labels: bool) -> Recorded:
     if not labels:
         return Recorded(capture=camera.capture())
     answer = camera.classify(include_embedding=True)

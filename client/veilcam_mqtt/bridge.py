@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import httpx
 
@@ -35,25 +36,18 @@ class Bridge:
         camera: camera that repeats nothing by itself.
         broker: broker of the house.
         hooks: webhooks that get events.
-        node: name of the camera in the house; made of its key if None.
-        base: first level of its topics.
-        discovery: prefix under which Home Assistant looks.
+        names: names of the camera in the house.
     """
 
     def __init__(
         self,
         camera: AsyncCamera,
         broker: Broker,
-        hooks: Sequence[Webhook] = (),
-        *,
-        node: str | None = None,
-        base: str = "veilcam",
-        discovery: str = "homeassistant",
+        hooks: Sequence[Webhook],
+        names: Names,
     ) -> None:
-        self._camera, self._broker, self._hooks = camera, broker, hooks
-        self._node, self._base, self._discovery = node, base, discovery
+        self._camera, self._broker, self._hooks, self._names = camera, broker, hooks, names
         self._first: asyncio.Future[View] = asyncio.get_running_loop().create_future()
-        self._names: Names | None = None
         self._key: str | None = None
         self._publisher: Publisher | None = None
         self._deliveries: list[Delivery] = []
@@ -64,7 +58,7 @@ class Bridge:
 
         Raises:
             CameraChangedError: another camera answers.
-            ValueError: a name or a certificate that cannot be used.
+            ValueError: a certificate that cannot be used.
         """
         try:
             async with (
@@ -80,8 +74,8 @@ class Bridge:
                     tasks.create_task(self._serve_button(name))
                 view = await self._first
                 self._key = view.status.device.key
-                node = self._node or f"veilcam_{self._key[:DIGITS]}"
-                self._names = Names(node, self._base, self._discovery)
+                node = self._names.node or f"veilcam_{self._key[:DIGITS]}"
+                self._names = replace(self._names, node=node)
                 self._publisher = Publisher(self._broker, self._names, self._press)
                 self._publisher.show(view)
                 tasks.create_task(self._publisher.run())
@@ -98,7 +92,7 @@ class Bridge:
         self._publisher.show(view)
 
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, Seen | Gone) and self._publisher is not None and self._names:
+        if isinstance(event, Seen | Gone) and self._publisher is not None:
             self._publisher.tell(self._names.topic(EVENT), event_payload(event))
         if isinstance(event, Seen | Gone | StateChanged | Fault):
             # The form of Standard Webhooks: type, timestamp, data.

@@ -119,15 +119,14 @@ def run(
         password = None if password_file is None else read_secret(password_file)
         reached = Broker(broker, username, password, ca_file, certificate, key, allow_plain)
         reached.tls()
-        Names(name or "veilcam", base, discovery)
+        names = Names(name or "", base, discovery)
         hooks = [Webhook(address, secret) for address in webhook or ()]
         found = camera_of(url, profile, token_file, local=SOCKET)
         # Repeated by the bridge itself, which tells the house meanwhile that nobody answers.
         camera = AsyncCamera(profile=found, max_retries=0)
 
-    bridge = _bridged(camera, reached, hooks, name=name, base=base, discovery=discovery)
     try:
-        asyncio.run(bridge)
+        asyncio.run(_bridged(camera, reached, hooks, names))
     except CameraChangedError as error:
         fail(str(error), 1, COMMAND)
     except (KeyboardInterrupt, asyncio.CancelledError):
@@ -135,13 +134,7 @@ def run(
 
 
 async def _bridged(
-    camera: AsyncCamera,
-    broker: Broker,
-    hooks: Sequence[Webhook],
-    *,
-    name: str | None,
-    base: str,
-    discovery: str,
+    camera: AsyncCamera, broker: Broker, hooks: Sequence[Webhook], names: Names
 ) -> None:
     """Run until SIGTERM: then the broker is told that nobody tells it more."""
     task = asyncio.current_task()
@@ -150,7 +143,7 @@ async def _bridged(
     loop.add_signal_handler(signal.SIGTERM, task.cancel)
     loop.set_exception_handler(_log_forgotten)
     async with camera:
-        await Bridge(camera, broker, hooks, node=name, base=base, discovery=discovery).run()
+        await Bridge(camera, broker, hooks, names).run()
 
 
 def _log_forgotten(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

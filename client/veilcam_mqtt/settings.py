@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import logging
 import re
 import ssl
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
+
+from veilcam_client.arguments import is_this_machine
 
 log = logging.getLogger("veilcam.mqtt")
 PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0)
@@ -65,7 +66,7 @@ class Broker:
         if not self.encrypted:
             if self.ca_file is not None or self.certificate is not None:
                 raise ValueError("certificates are for mqtts://")
-            if not self.allow_plain and not _is_this_machine(parts.hostname):
+            if not self.allow_plain and not is_this_machine(parts.hostname):
                 raise ValueError(
                     f"{parts.hostname} would be told labels in the clear: use mqtts://, or say "
                     "--allow-plain"
@@ -96,7 +97,7 @@ class Names:
     """Names of a camera in the house.
 
     Attributes:
-        node: id of the device, and a level of its topics.
+        node: id of the device, and a level of its topics; empty: made of the camera's key.
         base: first level of its topics.
         discovery: prefix under which Home Assistant looks for devices.
 
@@ -104,12 +105,12 @@ class Names:
         ValueError: a name that cannot stand in a topic.
     """
 
-    node: str
+    node: str = ""
     base: str = "veilcam"
     discovery: str = "homeassistant"
 
     def __post_init__(self) -> None:
-        for name in (self.node, self.base, self.discovery):
+        for name in (self.node or "veilcam", self.base, self.discovery):
             if not _LEVEL.fullmatch(name):
                 raise ValueError(f"{name!r} is no level of a topic: use letters, digits, _ and -")
 
@@ -149,10 +150,3 @@ class Attempts:
         self._said = reason
         await asyncio.sleep(PAUSES[min(self._failures, len(PAUSES) - 1)])
         self._failures += 1
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -5,14 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 
-from veilcam_client.wire.events import (
-    BundleChanged,
-    Event,
-    Gone,
-    MaskChanged,
-    Seen,
-    StateChanged,
-)
+from veilcam_client.wire.events import BundleChanged, Event, Gone, MaskChanged, Seen, StateChanged
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.watch import Watch
 from veilcam_mqtt.discovery import (

@@ -10,11 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
-from pydantic_settings import (
-    BaseSettings,
-    NoDecode,
-    PydanticBaseSettingsSource,
-)
+from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource
 
 from veilcam_client.arguments import masked
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
@@ -189,16 +185,6 @@ class Settings(CallerLimits, Wiring):
                     f"{masked(origin)!r} is no origin: use https://home.example, or with :PORT"
                 )
         return origins
-
-    @field_validator("release", mode="before")
-    @classmethod
-    def _a_form(cls, given: object) -> object:
-        if given == "white":
-            raise ValueError(
-                "the form 'white' is gone, as nobody could read it: use sealed, and pair a "
-                "receiver with 'veilcam receiver add', or use none"
-            )
-        return given
 
     @field_validator("watch")
     @classmethod

@@ -1,25 +1,11 @@
-"""The benchmarks of the SDK, made short; and that they would notice a failure."""
+"""Types of the SDK: what has none is counted and named."""
 
 from __future__ import annotations
 
 import json
 
 import pytest
-from benchmarks.client import overhead, types
-
-from veilcam_client import Camera
-
-
-def test_overhead_of_both_forms_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
-    with overhead.server() as url:
-        with Camera(url) as camera, Camera(f"{url}/json") as other:
-            assert camera.raw(camera.capture).headers["content-type"] == "application/x-npy"
-            assert other.raw(other.capture).headers["content-type"] == "application/json"
-            assert camera.capture() == other.capture()
-            assert camera.classify().label == "7"
-        overhead.overhead(url, 2)
-        overhead.arrays(url, 2)
-    assert "bare httpx" in capsys.readouterr().out
+from benchmarks.client import types
 
 
 def test_symbols_without_a_type_are_counted_and_named(capsys: pytest.CaptureFixture[str]) -> None:

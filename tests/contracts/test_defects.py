@@ -67,20 +67,6 @@ def test_each_colour_has_its_own_wavelength() -> None:
     assert relative(colours[0], colours[2]) > 1e-3
 
 
-def test_open_area_is_exact() -> None:
-    """Apertures floored to whole samples would leave 0.77 of the light."""
-    wide = replace(OPEN, sensor=Sensor(400, 400, pixel=100e-6))
-    light = TransferOperator(
-        *(wide, SCENE, Embedding(2, 2)),
-        reach=Reach(8, 3),
-        dtype=torch.float64,
-        step=5e-6,
-        approximation=Approximation(axial=True),
-    )(torch.ones(CAMERA.mask_shape, dtype=torch.float64))
-    area = light.sum() * wide.sensor.height * wide.sensor.width / 4
-    assert float(area) == pytest.approx(9 * 4 * 60e-6 * 180e-6, rel=2e-3)
-
-
 def test_dim_mask_stays_dim() -> None:
     light = operator()
     assert relative(light(mask(CAMERA) / 2), light(mask(CAMERA)) / 4) < 1e-13

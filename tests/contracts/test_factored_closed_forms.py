@@ -137,55 +137,6 @@ def transfer(camera: Camera, scene: Scene, embedding: Embedding, weights: Tensor
     return matrix
 
 
-def test_two_slits_through_the_transfer_operator() -> None:
-    """Two sub-pixels far from the sensor: the fringes, blurred by scene pixel and binning."""
-    camera = replace(bench(), distance=1.0)
-    # An all but plane wave; the image of the one scene pixel is 2 mm wide.
-    scene = Scene(rows=1, columns=1, height=2.0, distance=1e3)
-    weights = torch.zeros(6, 2, dtype=torch.float64)
-    weights[2, 0] = weights[3, 0] = 1
-    got = transfer(camera, scene, Embedding(20, 1), weights).reshape(20)
-
-    # Fraunhofer along y; along x one slit, whose light all but misses no pixel's row.
-    fine = (np.arange(24_000) + 0.5) / 24_000 * 0.024 - 0.012
-    area = WAVELENGTH * camera.distance
-    apart, (w_y, w_x) = camera.panel.pitch_y, (camera.panel.aperture_y, camera.panel.aperture_x)
-    along_y = 4 * w_y**2 / area * np.sinc(w_y * fine / area) ** 2
-    along_y *= np.cos(np.pi * apart * fine / area) ** 2
-    along_x = w_x**2 / area * np.sinc(w_x * (fine + camera.panel.pitch_x / 2) / area) ** 2
-    side, pixel = scene.pixel_at_sensor(camera), 0.001
-    box = np.ones(round(side / 1e-6)) / round(side / 1e-6)
-    blurred_y, blurred_x = (np.convolve(values, box, "same") for values in (along_y, along_x))
-    on_sensor = slice(2000, 22_000)
-    binned = blurred_y[on_sensor].reshape(20, -1).mean(1) * blurred_x[on_sensor].mean()
-    assert round(pixel / 1e-6) == 1000
-    assert relative(got, torch.from_numpy(binned)) < 2e-3
-
-
-def test_knife_edge_through_the_transfer_operator() -> None:
-    """One sub-pixel as wide as the sensor shows the edge's fringes in fine pixels."""
-    side = 2e-3
-    camera = Camera(
-        panel=Panel(2, 1, side, side, side, side, filter_cycle=()),
-        window=Window(rows=1, columns=1, first_row=0, first_column=0),
-        sensor=Sensor(rows=600, columns=400, pixel=5e-6),
-        wavelengths=(WAVELENGTH, WAVELENGTH, WAVELENGTH),
-        distance=20e-3,
-    )
-    scene = Scene(rows=1, columns=1, height=1e-3, distance=1e3)
-    operator = TransferOperator(camera, scene, Embedding(600, 1), dtype=torch.float64, step=0.5e-6)
-    profile = operator(torch.ones(1, 1, dtype=torch.float64)).reshape(600)
-    y = (np.arange(600) - 299.5) * 5e-6
-    unit = math.sqrt(WAVELENGTH * camera.distance / 2)
-    near = np.abs(y + side / 2) < 4 * unit
-    s, c = fresnel((y[near] + side / 2) / unit)
-    edge = ((c + 0.5) ** 2 + (s + 0.5) ** 2) / 2
-    # The columns' share of the light, whose own edges are at the sensor's, is a common factor.
-    factor = float(profile.sum()) * 5e-6 / side
-    # The far edge, 27 units away, adds its own ripple of 1 / (27 pi) to the amplitude.
-    assert relative(profile[near] / factor, torch.from_numpy(edge)) < 2e-2
-
-
 @pytest.mark.parametrize("axis", ["y", "x"])
 def test_shift_equivariance_of_the_transfer(axis: str) -> None:
     """The mask moved by an embedding pixel's shadow: every row of T moves by one pixel."""

@@ -97,22 +97,6 @@ def test_illumination(exact: bool, turns: Turns, distance: float, dtype: torch.d
     assert phase_error(wave, turns, at, distance) < TOLERANCES[dtype] + rounding
 
 
-@distances
-def test_casting_first_would_fail(distance: float) -> None:
-    """The test above fails where the carrier is kept in float32."""
-    x = SAMPLES.x().float()
-    r = (x.square() + distance**2).sqrt()
-    naive = torch.exp(2j * torch.pi * (r / WAVELENGTH).to(torch.complex64))
-
-    def with_carrier(x: Number, z: Number, wavelength: Number) -> Number:
-        return spherical(x, z, wavelength) + z / wavelength
-
-    error = phase_error(naive, with_carrier, positions(), distance)
-    assert error > 1e-5
-    if distance >= 0.4:
-        assert error > 0.1
-
-
 @both_types
 def test_reduction_modulo_a_turn(dtype: torch.dtype) -> None:
     """Ten million turns and a bit, of either sign."""

@@ -165,6 +165,8 @@ def test_job_pair_a_receiver(begin: Callable[[str], Job], daemon: Daemon) -> Non
     job = begin("pair")
     page = job.page
     job.view("Receivers")
+    chosen = page.get_by_role("button", pressed=True)
+    expect(chosen).to_have_text("operator")
     job.press("viewer", key="Space")
     job.press("Pair a receiver")
     line = PairingLine.parse(page.locator(".secret").inner_text())

@@ -139,6 +139,11 @@ def test_log_says_what_left_and_who_changed_what(open_page: Open, daemon: Daemon
     expect(other.get_by_text("yours lacks the scope read:log")).to_be_visible()
 
 
+def test_address_that_names_no_view_shows_the_first(open_page: Open) -> None:
+    page = open_page("/#constructor")
+    expect(page.get_by_role("heading", name="Live", level=1)).to_be_visible()
+
+
 def test_the_api_is_a_page_of_the_daemon(open_page: Open) -> None:
     page: Page = open_page("/docs")
     expect(page.locator("h1")).to_have_text(re.compile("^The API, version"))

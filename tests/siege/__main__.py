@@ -28,7 +28,6 @@ from tests.siege import (
     faults,
     greedy,
     kill,
-    pages,
     picture_fuzz,
     soak,
     starving,
@@ -39,7 +38,6 @@ from veilcam_server.errors import StartError
 from veilcam_server.system import logs
 
 ATTACKS: Mapping[str, Run] = {
-    "page": pages.foreign_page,
     "sockets": starving.dribbling,
     "sockets-tls": partial(starving.dribbling, tls=True),
     "sockets-spread": partial(starving.dribbling, sources=starving.SPREAD),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +20,6 @@ from tests.siege.attacker import Attack, Kind
 from tests.siege.client import PATIENCE, Address, Reply
 from tests.siege.daemon import FORKS, Circumstances, NoDiskError, fill, started
 from tests.siege.damage import all_trials, flipped, sample
-from tests.siege.greedy import Loot
 from tests.siege.ground import Extent
 from tests.siege.starving import p99
 from tests.siege.witness import Life, Witness
@@ -200,27 +198,6 @@ def test_files_are_damaged_alone_and_with_their_copies(tmp_path: Path) -> None:
     assert flipped("", b"") == b""
     few = sample(trials, Extent(starts=5))
     assert (few[0], len(few), len(sample(trials, Extent()))) == (trials[0], 5, 17)
-
-
-def test_loot_is_counted_behind_each_mask_whatever_its_epoch() -> None:
-    def taken(*replies: Reply) -> Loot:
-        loot = Loot()
-        for reply in replies:
-            loot.take(reply)
-        return loot
-
-    def reply(epoch: str, *values: float) -> Reply:
-        embedding = {"form": "raw", "shape": [len(values)], "values": values}
-        told = {"id": "1", "epoch": epoch, "number": 0, "taken_at": "2026-01-02T03:04:05Z"}
-        return Reply("", 200, json.dumps({**told, "label": "1", "embedding": embedding}).encode())
-
-    two = taken(reply("a", 0.125, 0.25), reply("b", 0.125, 0.25), reply("c", 0.125, 0.375))
-    assert (two.most, len(two.masks), two.epochs.total()) == (2, 2, 3)
-    # The scene may have changed within an epoch.
-    assert taken(*(reply("a", value) for value in (0.125, 0.25, 0.375))).most == 3
-    codes = [Reply("", 409, b'{"code": "%s"}' % code) for code in (b"leased", b"masks_spent")]
-    none = taken(Reply(), *codes)
-    assert (none.most, none.spent) == (0, 1)
 
 
 class Epoch:

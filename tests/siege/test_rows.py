@@ -15,7 +15,6 @@ TINY = Extent(
 )
 TOGETHER = ("sockets", "sockets-spread", "streams", "upload")
 MISSED = {
-    "page": ["requests of a page act"],
     "sockets": ["left of"],
     "sockets-tls": ["it speaks TLS", "left of"],
     "sockets-spread": ["left of"],

@@ -25,7 +25,6 @@ from veilcam_client.cli.format import (
     status_in_words,
 )
 from veilcam_client.cli.pair import pair
-from veilcam_client.cli.picture import in_blocks
 from veilcam_client.cli.terminal import (
     EXIT_CODES_HELP,
     USAGE,
@@ -40,14 +39,9 @@ from veilcam_client.cli.terminal import (
     version_of,
 )
 from veilcam_client.cli.watch import watch
-from veilcam_client.numbers import picture
+from veilcam_client.numbers import in_blocks, picture
 from veilcam_client.recording import record as write_recording
-from veilcam_client.wire.rotation import (
-    EveryCaptures,
-    EverySeconds,
-    RotationOff,
-    RotationPolicy,
-)
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,

@@ -3,11 +3,17 @@
 from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 
-from veilcam_client.cli.terminal import USAGE, Ask, asking, fail
-from veilcam_client.cli.token_words import ROLE_HELP, SCOPE_HELP, token_in_words, unknown_scopes
-from veilcam_client.wire.tokens import TOKENS_AT_ONCE, TokenRequest
+from veilcam_client.cli.terminal import Ask, asking, errors
+from veilcam_client.cli.token_words import (
+    DaysOption,
+    LabelOption,
+    RoleOption,
+    ScopeOption,
+    asked_token,
+    token_in_words,
+)
+from veilcam_client.wire.tokens import TOKENS_AT_ONCE
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
@@ -22,30 +28,14 @@ app: typer.Typer = typer.Typer(
 def create(
     ask: Ask,
     *,
-    label: Annotated[str, typer.Option(help="For whom or what it is.")],
-    role: Annotated[str | None, typer.Option(help=ROLE_HELP)] = None,
-    scope: Annotated[list[str] | None, typer.Option(help=SCOPE_HELP)] = None,
-    days: Annotated[
-        float | None,
-        typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
-    ] = None,
+    label: LabelOption,
+    role: RoleOption = None,
+    scope: ScopeOption = None,
+    days: DaysOption = None,
 ) -> None:
     """Make a token and print it. It is shown this once."""
-    unknown = unknown_scopes(scope or ())
-    if unknown is not None:
-        fail(unknown, USAGE)
-    seconds = None if days is None else round(86_400 * days)
-    try:
-        asked = TokenRequest.model_validate(
-            {"label": label, "role": role, "scopes": tuple(scope or ()), "seconds": seconds}
-        )
-    except ValidationError as error:
-        item = error.errors()[0]
-        if not item["loc"]:
-            fail("give --role or --scope, one of the two", USAGE)
-        option = {"scopes": "scope", "seconds": "days"}.get(str(item["loc"][0]), item["loc"][0])
-        fail(f"--{option}: {item['msg']}", USAGE)
-
+    with errors():
+        asked = asked_token(label, role, scope, days)
     ask(
         lambda camera: camera.tokens.create(
             asked.label, asked.scopes, role=asked.role, seconds=asked.seconds

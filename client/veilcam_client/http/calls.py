@@ -1,5 +1,6 @@
 """Request of the API as data: what to send and how to read the answer."""
 
+import reprlib
 import uuid
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -7,7 +8,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
-from veilcam_client.arguments import segment
+from veilcam_client.errors import ArgumentError
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 
@@ -40,6 +41,8 @@ class Call(Generic[AnswerT]):
         return headers
 
 
-def part(name: str, value: str) -> str:
+def part(name: str, value: object) -> str:
     """Return a name as one part of a path; raises ArgumentError for one that cannot be."""
-    return quote(segment(name, value), safe="")
+    if not isinstance(value, str) or value in ("", ".", ".."):
+        raise ArgumentError(f"{name} = {reprlib.repr(value)} is not valid: use the one that it has")
+    return quote(value, safe="")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Callable, Hashable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 from urllib.parse import urlsplit
 
 import httpx
@@ -13,16 +13,7 @@ import httpx
 from veilcam_client.errors import ArgumentError
 from veilcam_client.http.options import Options
 
-
-class Closable(Protocol):
-    """A client of httpx."""
-
-    @property
-    def is_closed(self) -> bool:
-        """Return whether it was closed."""
-
-
-ClientT = TypeVar("ClientT", bound=Closable)
+ClientT = TypeVar("ClientT", bound=httpx.Client | httpx.AsyncClient)
 
 
 class ClientHolder(Generic[ClientT]):

@@ -1,7 +1,6 @@
 """Credentials: a token, and the authority or the certificate that vouches for the daemon."""
 
 import hashlib
-import ipaddress
 import os
 import ssl
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import urlsplit
 
-from veilcam_client.arguments import masked, of_type
+from veilcam_client.arguments import is_this_machine, masked, of_type
 from veilcam_client.errors import ArgumentError
 
 MOST_SECRET = 4096
@@ -74,7 +73,7 @@ class Credentials:
         parts = urlsplit(url)
         if self.certificate is not None and parts.scheme != "https":
             raise ArgumentError(f"url = {masked(url)!r} shows no certificate: use https://")
-        if self.token and parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
+        if self.token and parts.scheme == "http" and not is_this_machine(parts.hostname or ""):
             raise ArgumentError(
                 f"url = {masked(url)!r} would send the token in the clear: use https://"
             )
@@ -139,10 +138,3 @@ def _check(tls: ssl.SSLSocket | ssl.SSLObject) -> None:
         raise ssl.SSLCertVerificationError(
             1, "its certificate is not the one that it was paired with"
         )
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -12,15 +12,7 @@ from pydantic import BaseModel
 
 from veilcam_client.arguments import of_type
 from veilcam_client.errors import ArgumentError, VeilcamError
-from veilcam_client.http.answers import (
-    Body,
-    Received,
-    check_call,
-    keep,
-    new_call,
-    note,
-    read,
-)
+from veilcam_client.http.answers import Body, Received, check_call, keep, new_call, note, read
 from veilcam_client.http.calls import Call
 from veilcam_client.http.clients import ClientHolder, own_client, place
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout, within

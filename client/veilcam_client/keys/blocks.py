@@ -27,13 +27,7 @@ from veilcam_client.errors import ArgumentError, SealedError
 from veilcam_client.keys.envelopes import canonical, open_key, receivers_digest
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.captures import (
-    Capture,
-    Classification,
-    Embedding,
-    Notes,
-    SealedEmbedding,
-)
+from veilcam_client.wire.captures import Capture, Classification, Embedding, Notes, SealedEmbedding
 from veilcam_client.wire.sealing import Envelope
 
 BLOCK_VERSION = 1

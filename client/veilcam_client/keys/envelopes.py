@@ -28,6 +28,16 @@ class Signer(Protocol):
         """Signature of ``message`` (RFC 8032), 128 hexadecimal digits."""
 
 
+def is_signed(public: str, signature: str, message: bytes) -> bool:
+    """Return whether the owner of an Ed25519 key signed a message; key and signature in hex."""
+    try:
+        key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public))
+        key.verify(bytes.fromhex(signature), message)
+    except (ValueError, InvalidSignature):
+        return False
+    return True
+
+
 def canonical(*fields: object) -> bytes:
     """One text for these fields, and no other fields have it: what is signed or sealed with."""
     return json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
@@ -85,11 +95,8 @@ def open_key(envelope: Envelope, key: ReceiverKey, *, device: str | None) -> Epo
             f"this was sealed by device {envelope.device[:12]}, not {device[:12]}: check the camera"
         )
     message = _message(envelope.device, envelope.epoch, envelope.bundle, envelope.keys)
-    try:
-        public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(envelope.device))
-        public.verify(bytes.fromhex(envelope.signature), message)
-    except (ValueError, InvalidSignature):
-        raise SealedError("the envelope was changed after the device signed it") from None
+    if not is_signed(envelope.device, envelope.signature, message):
+        raise SealedError("the envelope was changed after the device signed it")
     sealed = {each.receiver: each.key for each in envelope.keys}.get(key.public.id)
     if sealed is None:
         raise SealedError(

@@ -12,11 +12,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from hashlib import sha256
 
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
 from veilcam_client.arguments import of_type
-from veilcam_client.keys.envelopes import Signer, canonical
+from veilcam_client.keys.envelopes import Signer, canonical, is_signed
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.log import Kind, LogRecord
 
@@ -50,12 +47,7 @@ def sign_record(
 
 def is_genuine(record: LogRecord) -> bool:
     """Return whether the device that a record names signed it."""
-    try:
-        public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(record.device))
-        public.verify(bytes.fromhex(record.signature), _message(record))
-    except (ValueError, InvalidSignature):
-        return False
-    return True
+    return is_signed(record.device, record.signature, _message(record))
 
 
 def line_of(record: LogRecord) -> bytes:

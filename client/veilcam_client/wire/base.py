@@ -3,16 +3,16 @@
 The server answers with these models and the SDK reads them. What is asked is closed (a field that
 is not known is refused); what is answered is open (a field that a newer server adds is ignored).
 What fails is answered with a problem (RFC 9457), of which the SDK makes an error.
-Times in seconds, wall-clock times in UTC. ``EXAMPLES`` of a module stand in the OpenAPI document.
+Times in seconds, wall-clock times in UTC. ``examples()`` of a module stand in the OpenAPI document.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache, cached_property
+from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -46,7 +46,6 @@ _BY_CODE: Mapping[str, type[ApiError]] = {
     "leased": LeasedError,
 }
 _BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
-ExampleT = TypeVar("ExampleT")
 
 
 class Described(BaseModel):
@@ -80,8 +79,14 @@ class Answer(Result):
 
     # Deferred: of some sixty answers a program reads a few, and each takes a millisecond to build.
     # Questions are few, and FastAPI warns of those that it cannot build where it defines a route.
+    # A traceback may end up anywhere, and answers and questions may hold tokens: it repeats none.
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True
+        strict=True,
+        frozen=True,
+        extra="ignore",
+        allow_inf_nan=False,
+        defer_build=True,
+        hide_input_in_errors=True,
     )
 
     def __array__(
@@ -122,8 +127,10 @@ class Problem(Described):
     def error(self, retry_after: float | None = None) -> ApiError:
         """Return the error to raise, chosen by the code or else by the HTTP status."""
         kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, ApiError)
+        # A claim goes without a token.
+        hint = self.code == "unauthorized" and not self.instance.endswith("/claim")
         return kind(
-            f"{self.detail} ({UNAUTHORIZED_HINT})" if self.code == "unauthorized" else self.detail,
+            f"{self.detail} ({UNAUTHORIZED_HINT})" if hint else self.detail,
             code=self.code,
             status=self.status,
             request_id=self.request_id,
@@ -137,31 +144,12 @@ class Question(Result):
     """Base of requests: checked strictly, and closed to unknown fields."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        strict=True, frozen=True, extra="forbid", allow_inf_nan=False
+        strict=True,
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        hide_input_in_errors=True,
     )
-
-
-class Examples(Sequence[ExampleT]):
-    """Examples for documents, which are made when somebody looks: who asks a camera needs none."""
-
-    def __init__(self, make: Callable[[], Sequence[ExampleT]]) -> None:
-        self._make = make
-
-    @cached_property
-    def _made(self) -> Sequence[ExampleT]:
-        return self._make()
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    @overload
-    def __getitem__(self, place: int) -> ExampleT: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[ExampleT]: ...
-
-    def __getitem__(self, place: int | slice) -> ExampleT | Sequence[ExampleT]:
-        return self._made[place]
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Examples
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer
 
 BUNDLE_MEDIA_TYPE = "application/vnd.veilcam.bundle"
 
@@ -136,4 +136,6 @@ def _bundle() -> InstalledBundle:
     )
 
 
-EXAMPLES = Examples(lambda: (_bundle(), InstalledBundles(bundles=(_bundle(),))))
+def examples() -> tuple[Answer, ...]:
+    """Return examples for documents."""
+    return (_bundle(), InstalledBundles(bundles=(_bundle(),)))

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Question
 
 SceneName = Literal["dark", "white card", "lamp"]
 """What is set before a camera that is being measured."""
@@ -173,8 +173,9 @@ def _run() -> CalibrationRun:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         CalibrationRequest(repeats=2),
         SceneConfirmation(scene="lamp"),
         _run(),
@@ -185,4 +186,3 @@ EXAMPLES = Examples(
             run=_run(),
         ),
     )
-)

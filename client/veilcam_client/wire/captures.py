@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from veilcam_client.errors import SealedError, VeilcamError
 from veilcam_client.wire.arrays import ArrayAnswer, Float32List, PicturedArray
-from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
 from veilcam_client.wire.sealing import Envelope, example_envelope
 
 if TYPE_CHECKING:
@@ -255,8 +255,9 @@ class Classification(ArrayAnswer):
         return self.embedding.array()
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         ClassificationRequest(include_embedding=True),
         Capture(
             id="c0ffee00" * 6,
@@ -275,4 +276,3 @@ EXAMPLES = Examples(
             scores={"0": 0.02, "1": 0.98},
         ),
     )
-)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.status import Remedy, State
@@ -209,4 +209,6 @@ EVENT_KINDS = frozenset(
 )
 
 
-EXAMPLES = Examples(lambda: (MaskChanged(id="5ca1ab1e-7", at=EXAMPLE_TIME, epoch=EXAMPLE_EPOCH),))
+def examples() -> tuple[MaskChanged]:
+    """Return examples for documents."""
+    return (MaskChanged(id="5ca1ab1e-7", at=EXAMPLE_TIME, epoch=EXAMPLE_EPOCH),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from veilcam_client.wire.base import Answer, Examples, Question
+from veilcam_client.wire.base import Answer, Question
 
 
 class LeaseRequest(Question):
@@ -40,10 +40,10 @@ def _lease() -> Lease:
     return Lease(held=True, owner="an experiment", expires_in_s=58.5, mine=True)
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         LeaseRequest(owner="an experiment", seconds=60.0),
         _lease(),
         NewLease(**_lease().model_dump(), secret=None),
     )
-)

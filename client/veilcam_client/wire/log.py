@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Examples, Result
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Result
 from veilcam_client.wire.sealing import EXAMPLE_DEVICE
 
 RECORDS_AT_ONCE = 1000
@@ -60,7 +60,8 @@ class LogRecords(Answer):
     """``after`` of the request for those that follow; None: there were no more."""
 
 
-def _example() -> tuple[LogRecords]:
+def examples() -> tuple[LogRecords]:
+    """Return examples for documents."""
     record = LogRecord(
         device=EXAMPLE_DEVICE,
         position=1200,
@@ -71,6 +72,3 @@ def _example() -> tuple[LogRecords]:
         signature="0f" * 64,
     )
     return (LogRecords(records=(record,), next=1200),)
-
-
-EXAMPLES = Examples(_example)

@@ -8,7 +8,6 @@ camera's certificate (DER) after them.
 from __future__ import annotations
 
 import base64
-import ipaddress
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Self
@@ -16,7 +15,8 @@ from urllib.parse import quote, unquote, urlsplit
 
 from pydantic import Field
 
-from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.arguments import is_this_machine
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 from veilcam_client.wire.sealing import (
     EXAMPLE_DEVICE,
     PairedReceiver,
@@ -58,7 +58,7 @@ class PairingLine:
         if len(self.secret) != SECRET_BYTES:
             raise ValueError(_WRONG)
         if self.certificate is None:
-            if not self.place.startswith("/") and not _is_loopback(self.place):
+            if not self.place.startswith("/") and not is_loopback(self.place):
                 raise ValueError(
                     "this line leads to another machine and names no certificate: take a line of "
                     "a camera that serves TLS"
@@ -83,7 +83,8 @@ class PairingLine:
         """Read a line; raises ValueError, whose message does not repeat it."""
         try:
             parts = urlsplit(text.strip())
-            data = base64.b64decode(parts.fragment + "==", altchars=b"-_", validate=True)
+            padding = "=" * (-len(parts.fragment) % 4)
+            data = base64.b64decode(parts.fragment + padding, altchars=b"-_", validate=True)
             if parts.scheme != _SCHEME or parts.query or parts.username or parts.password:
                 raise ValueError
             if parts.netloc:
@@ -105,12 +106,9 @@ _WRONG = (
 )
 
 
-def _is_loopback(place: str) -> bool:
-    host = urlsplit(f"//{place}").hostname or ""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+def is_loopback(place: str) -> bool:
+    """Return whether a line without a certificate may lead to HOST:PORT."""
+    return is_this_machine(urlsplit(f"//{place}").hostname or "")
 
 
 class PairingRequest(Question):
@@ -153,8 +151,9 @@ class Paired(Answer):
     """Token of the role; None where the camera wants no tokens."""
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         PairingRequest(role="operator"),
         PairingOffer(
             line=str(PairingLine("camera.example:8787", bytes(16), bytes(32))),
@@ -170,4 +169,3 @@ EXAMPLES = Examples(
             token="vc_0123456789ab_" + "0f" * 32,
         ),
     )
-)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from veilcam_client.wire.base import Answer, Examples
+from veilcam_client.wire.base import Answer
 
 
 class Observer(Answer):
@@ -25,8 +25,9 @@ class Privacy(Answer):
     """One for each kind of access."""
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer, ...]:
+    """Return examples for documents."""
+    return (
         Privacy(
             observers=(
                 Observer(
@@ -38,4 +39,3 @@ EXAMPLES = Examples(
             )
         ),
     )
-)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
-from veilcam_client.wire.base import EXAMPLE_EPOCH, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_EPOCH, Answer, Question
 
 
 class RotationOff(Question):
@@ -96,11 +96,11 @@ def example_rotation() -> Rotation:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         RotationOff(),
         EverySeconds(seconds=30.0, jitter=5.0),
         EveryCaptures(captures=10, reuse=2),
         example_rotation(),
     )
-)

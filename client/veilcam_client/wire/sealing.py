@@ -7,14 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from veilcam_client.wire.base import (
-    EXAMPLE_DIGEST,
-    EXAMPLE_EPOCH,
-    EXAMPLE_TIME,
-    Answer,
-    Examples,
-    Question,
-)
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
 
 Form = Literal["sealed", "raw"]
 """How an embedding leaves: ``sealed`` to the camera's receivers, or ``raw``, as it was read."""
@@ -110,11 +103,11 @@ def example_envelope() -> Envelope:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         ReceiverRequest(label="archive", key="veilcam-receiver:c2VhbGVk"),
         example_receiver(),
         Receivers(device=EXAMPLE_DEVICE, receivers=(example_receiver(),)),
         example_envelope(),
     )
-)

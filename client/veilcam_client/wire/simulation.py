@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from veilcam_client.errors import ArgumentError
-from veilcam_client.wire.base import Answer, Examples, Question
+from veilcam_client.wire.base import Answer, Question
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
 if TYPE_CHECKING:
@@ -123,4 +123,6 @@ def picture_media_type(picture: bytes) -> str:
     )
 
 
-EXAMPLES = Examples(lambda: (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True))))
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True)))

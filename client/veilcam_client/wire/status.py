@@ -8,13 +8,7 @@ from typing import Literal
 
 from pydantic import JsonValue
 
-from veilcam_client.wire.base import (
-    API_VERSION,
-    EXAMPLE_TIME,
-    Answer,
-    Examples,
-    installed_version,
-)
+from veilcam_client.wire.base import API_VERSION, EXAMPLE_TIME, Answer, installed_version
 from veilcam_client.wire.bundles import BundleInfo, example_bundle
 from veilcam_client.wire.rotation import Rotation, example_rotation
 from veilcam_client.wire.sealing import EXAMPLE_DEVICE, PairedReceiver, Release, example_receiver
@@ -196,8 +190,9 @@ def example_status() -> Status:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer, ...]:
+    """Return examples for documents."""
+    return (
         example_status(),
         DoctorFindings(
             findings=(
@@ -226,4 +221,3 @@ EXAMPLES = Examples(
             log_missed=0,
         ),
     )
-)

@@ -8,7 +8,7 @@ from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 
 Scope = Literal[
     "read:status",
@@ -151,8 +151,9 @@ def _session() -> Session:
     )
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         TokenRequest(label="lamp", role="viewer", seconds=86_400),
         _token(),
         NewToken(**_token().model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
@@ -160,4 +161,3 @@ EXAMPLES = Examples(
         _session(),
         NewSession(**_session().model_dump(), half="0f" * 32),
     )
-)

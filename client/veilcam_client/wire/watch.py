@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
-from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 from veilcam_client.wire.status import EXAMPLE_CLOCK, WallClock
 
 SLOWEST, FASTEST = 1 / 3600, 10.0
@@ -166,8 +166,9 @@ def _watching() -> Watching:
     return Watching(rate_hz=2.0, quiet=QuietHours(begin="22:00", end="07:00"))
 
 
-EXAMPLES = Examples(
-    lambda: (
+def examples() -> tuple[Answer | Question, ...]:
+    """Return examples for documents."""
+    return (
         WatchOff(),
         OnRequest(),
         _watching(),
@@ -190,4 +191,3 @@ EXAMPLES = Examples(
             clock=EXAMPLE_CLOCK,
         ),
     )
-)

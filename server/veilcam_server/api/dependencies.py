@@ -22,22 +22,9 @@ from veilcam_server.service.service import Service
 
 ResultT = TypeVar("ResultT")
 
-OPEN = (
-    "bad_request",
-    "cross_site",
-    "host_refused",
-    "unsupported_media_type",
-    "internal_error",
-)
+OPEN = ("bad_request", "cross_site", "host_refused", "unsupported_media_type", "internal_error")
 """What every route can answer with."""
-ALWAYS = (
-    *OPEN,
-    "unauthorized",
-    "forbidden",
-    "too_many_requests",
-    "too_many_requests",
-    "storage_failed",
-)
+ALWAYS = (*OPEN, "unauthorized", "forbidden", "too_many_requests", "storage_failed")
 """What every route that wants a token can answer with."""
 KEYED = ("idempotency_key_reused", "answer_lost")
 """What a route that takes an ``Idempotency-Key`` can answer with besides."""
@@ -46,17 +33,8 @@ BODY = ("body_too_large", "invalid_request", *KEYED)
 CHANGE = ("storage_failed",)
 """What a route can answer with besides that makes a change which outlives the daemon."""
 DEVICE = (
-    "queue_full",
-    "not_ready",
-    "not_ready",
-    "not_looking",
-    "conflict",
-    "display_failed",
-    "sensor_failed",
-    "sensor_failed",
-    "sensor_failed",
-    "panel_not_hiding",
-    "light_unsteady",
+    *("queue_full", "not_ready", "not_looking", "conflict", "display_failed", "sensor_failed"),
+    *("panel_not_hiding", "light_unsteady"),
 )
 """What a route that needs the device can answer with besides."""
 
@@ -113,9 +91,10 @@ def open_problems(*codes: str) -> dict[int | str, dict[str, object]]:
 
 def _problems(wanted: tuple[str, ...]) -> dict[int | str, dict[str, object]]:
     answers: dict[int | str, dict[str, object]] = {}
-    for status in sorted({PROBLEMS[code].status for code in wanted}):
+    codes = dict.fromkeys(wanted)
+    for status in sorted({PROBLEMS[code].status for code in codes}):
         answers[status] = {
-            "description": ", ".join(code for code in wanted if PROBLEMS[code].status == status),
+            "description": ", ".join(code for code in codes if PROBLEMS[code].status == status),
             # The model itself, and an example of each code, are added to the whole document.
             "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": f"{REF_PREFIX}Problem"}}},
         }

@@ -29,14 +29,7 @@ from veilcam_client.wire.events import (
 from veilcam_client.wire.rotation import EverySeconds, Preparation, Rotation
 from veilcam_client.wire.sealing import MOST_RECEIVERS, Envelope, PairedReceiver, Release, SealedKey
 from veilcam_client.wire.status import PastFault, PastState, Queue, Remedy, WallClock
-from veilcam_client.wire.watch import (
-    MOST_SIGHTINGS,
-    Belief,
-    QuietHours,
-    Sighting,
-    Watch,
-    Watching,
-)
+from veilcam_client.wire.watch import MOST_SIGHTINGS, Belief, QuietHours, Sighting, Watch, Watching
 from veilcam_server.api.problems import example_of
 from veilcam_server.api.routes.diagnostics import diagnostics_of
 from veilcam_server.api.sizes import CAPTURES, CLASSIFICATIONS, DIAGNOSTICS, EVENTS, STATUS, WATCH

@@ -63,7 +63,7 @@ _OF_ARRAYS = tuple(
     for name in _HEADERS
     if name.startswith("Veilcam-") and name not in (*_ALWAYS, PADDING_HEADER)
 )
-(_EVENT,) = events.EXAMPLES
+(_EVENT,) = events.examples()
 _TEXTS = {
     "text/plain": metrics.EXAMPLE,
     "text/event-stream": (
@@ -73,7 +73,7 @@ _TEXTS = {
 _EXAMPLES: Mapping[str, BaseModel] = {
     type(example).__name__: example
     for module in iter_modules(wire.__path__)
-    for example in getattr(import_module(f"{wire.__name__}.{module.name}"), "EXAMPLES", ())
+    for example in getattr(import_module(f"{wire.__name__}.{module.name}"), "examples", tuple)()
 }
 """By the name of the model."""
 

@@ -71,9 +71,10 @@ SAMPLES: Mapping[str, Sample] = {
         {"label": "archive", "key": "$RECEIVER_KEY"},
     ),
     "remove_receiver": Sample("camera.receivers.remove(receiver_id)"),
-    "offer_pairing": Sample(body={"role": "operator"}),
+    "offer_pairing": Sample('camera.receivers.offer("operator")', {"role": "operator"}),
     "claim_pairing": Sample(
-        body={"label": "laptop", "key": "$RECEIVER_KEY", "secret": "$SECRET"},
+        'camera.receivers.claim(secret, "laptop", receiver_key)',
+        {"label": "laptop", "key": "$RECEIVER_KEY", "secret": "$SECRET"},
     ),
     "status": Sample("camera.status()"),
     "diagnostics": Sample("camera.diagnostics()"),

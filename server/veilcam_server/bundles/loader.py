@@ -18,7 +18,6 @@ from veilcam_server.errors import (
     BundleOlderError,
     BundleRefusedError,
     StartError,
-    StorageError,
     UnknownBundleError,
 )
 from veilcam_server.masks.fresh import FreshSource
@@ -283,22 +282,3 @@ def _is_older(keys: LoadedBundle) -> BundleOlderError:
         f"bundle {keys.info.digest[:12]} of version {keys.info.version} is in use, which is older "
         "than the one before it"
     )
-
-
-def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: Report) -> None:
-    """Write down which bundle the daemon starts with, unless it is one that had to stand in.
-
-    Args:
-        store: keeps that.
-        opener: knows whose bundles are taken.
-        keys: keys of the bundle.
-        report: takes that it cannot be made durable.
-    """
-    digest = keys.info.digest
-    # After a loss nothing is written: every start says it again until a bundle is activated.
-    if digest != store.candidates()[0] or store.lost:
-        return
-    try:
-        store.settle(digest, opener.owners.remember(keys.info, store.used))
-    except StorageError as error:
-        report(StorageError(f"which bundle is in use is not remembered: {error}"))

@@ -10,21 +10,10 @@ from pathlib import Path
 from typing import Self
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
-from veilcam_server.bundles.loader import (
-    LoadedBundle,
-    Opener,
-    OpenSource,
-    bundle_info,
-    last_good,
-    note_start,
-)
+from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bundle_info, last_good
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
-from veilcam_server.errors import (
-    BundleRefusedError,
-    ProblemError,
-    StorageError,
-)
+from veilcam_server.errors import BundleRefusedError, ProblemError, StorageError
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle
@@ -78,8 +67,19 @@ class BundleManager:
         )
 
     def note_start(self, report: Report) -> None:
-        """Write down which bundle the daemon starts with; ``report`` takes that it cannot be."""
-        note_start(self._store, self._opener, self.keys, report)
+        """Write down which bundle the daemon starts with, unless it is one that had to stand in.
+
+        Args:
+            report: takes that it cannot be made durable.
+        """
+        store, info = self._store, self.keys.info
+        # After a loss nothing is written: every start says it again until a bundle is activated.
+        if info.digest != store.candidates()[0] or store.lost:
+            return
+        try:
+            store.settle(info.digest, self._opener.owners.remember(info, store.used))
+        except StorageError as error:
+            report(StorageError(f"which bundle is in use is not remembered: {error}"))
 
     @property
     def info(self) -> BundleInfo:

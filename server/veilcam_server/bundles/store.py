@@ -21,18 +21,8 @@ from pydantic import BaseModel, ConfigDict
 
 from veilcam_optics.files import sync_folder
 from veilcam_server.bundles.owners import Used
-from veilcam_server.errors import (
-    ProblemError,
-    StorageError,
-    UnknownBundleError,
-)
-from veilcam_server.system.state_file import (
-    Report,
-    Staged,
-    StateStore,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.errors import ProblemError, StorageError, UnknownBundleError
+from veilcam_server.system.state_file import Report, Staged, StateStore, log_fault, make_directory
 
 CAPACITY = 32
 """Most bundles that can be installed."""

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
-from veilcam_client.keys.envelopes import Signer
+from veilcam_client.keys.envelopes import Signer, is_signed
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_server.bundles.loader import OpenSource, open_source
@@ -21,16 +18,6 @@ RECORD_NAME = "calibration.json"
 """Name of the record in the state directory."""
 AGAIN = "run 'veilcamd calibrate' again"
 """Remedy for a record that cannot be used."""
-
-
-def is_signed(signed: SignedCalibration) -> bool:
-    """Return whether the owner of a record's public key signed it."""
-    try:
-        key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(signed.public_key))
-        key.verify(bytes.fromhex(signed.signature), _message(signed.record))
-    except (ValueError, InvalidSignature):
-        return False
-    return True
 
 
 def calibration_store(path: Path, report: Report = log_fault) -> StateStore[SignedCalibration]:
@@ -98,7 +85,8 @@ def open_calibration(
                 "give another --calibration"
             )
         return None
-    if signed.public_key != key.public or not is_signed(signed):
+    genuine = is_signed(key.public, signed.signature, _message(signed.record))
+    if signed.public_key != key.public or not genuine:
         why = f"{path} was signed by another device: {AGAIN}, or give another --calibration"
         if named:
             raise StartError(why)

@@ -39,11 +39,7 @@ from veilcam_server.calibration.record import (
 from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.camera.engine import CameraEngine, OnDevice, Publish
 from veilcam_server.devices.base import Device
-from veilcam_server.errors import (
-    CalibrationError,
-    NotReadyError,
-    ProblemError,
-)
+from veilcam_server.errors import CalibrationError, NotReadyError, ProblemError
 from veilcam_server.settings import Settings
 from veilcam_server.system.logs import log_defect
 from veilcam_training.bundle import Bundle

@@ -41,13 +41,10 @@ class ReleaseBudget:
         report: takes what was damaged.
 
     Raises:
-        ValueError: a number that cannot be.
         StartError: the record cannot be read.
     """
 
     def __init__(self, directory: Path, raw: int, report: Report = log_fault) -> None:
-        if raw < 0:
-            raise ValueError(f"raw = {raw} is not valid: use 0 or more")
         self._limits: dict[Release, float] = {"sealed": math.inf, "raw": raw}
         self._file = StateStore(
             directory / NAME,

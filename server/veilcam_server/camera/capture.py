@@ -18,9 +18,7 @@ from veilcam_client.wire.captures import (
     SealedEmbedding,
     Timing,
 )
-from veilcam_client.wire.captures import (
-    Exposure as ExposureNote,
-)
+from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_client.wire.sealing import Form
 from veilcam_server.camera.epochs import Epoch

@@ -22,12 +22,7 @@ from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.devices.base import Device, Light
 from veilcam_server.devices.errors import DisplayError, LightError, SaturatedError, SensorError
-from veilcam_server.errors import (
-    FenceError,
-    PanelNotHidingError,
-    ProblemError,
-    UnsteadyLightError,
-)
+from veilcam_server.errors import FenceError, PanelNotHidingError, ProblemError, UnsteadyLightError
 
 _MOST_FAILURES = 2
 """Consecutive sensor failures before the camera is marked as failed."""

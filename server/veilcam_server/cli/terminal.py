@@ -50,10 +50,7 @@ def one_line(error: ValidationError) -> str:
 def enter_state(directory: Path) -> None:
     """Take on the owner of a state folder where this is root; end if it cannot be used."""
     # Imported late: --help need not wait for it.
-    from veilcam_server.system.state_folder import (  # noqa: PLC0415
-        become_owner,
-        require_usable,
-    )
+    from veilcam_server.system.state_folder import become_owner, require_usable  # noqa: PLC0415
 
     try:
         become_owner(directory)

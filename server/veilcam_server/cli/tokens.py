@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from pydantic import ValidationError
 
-from veilcam_client.cli.token_words import ROLE_HELP, SCOPE_HELP, token_in_words, unknown_scopes
-from veilcam_client.wire.tokens import ROLES, Token, TokenRequest, Tokens
-from veilcam_server.cli.terminal import (
-    USAGE,
-    JsonOption,
-    StateDirOption,
-    changing_state,
-    fail,
-    one_line,
+from veilcam_client.cli.token_words import (
+    DaysOption,
+    LabelOption,
+    RoleOption,
+    ScopeOption,
+    asked_token,
+    token_in_words,
 )
+from veilcam_client.wire.tokens import ROLES, Token, Tokens
+from veilcam_server.cli.terminal import USAGE, JsonOption, StateDirOption, changing_state, fail
 from veilcam_server.environment import default_state_dir
 
 if TYPE_CHECKING:
@@ -40,29 +39,18 @@ app = typer.Typer(
 @app.command()
 def create(
     *,
-    label: Annotated[str, typer.Option(help="For whom or what it is.")],
-    role: Annotated[str | None, typer.Option(help=ROLE_HELP)] = None,
-    scope: Annotated[list[str] | None, typer.Option(help=SCOPE_HELP)] = None,
-    days: Annotated[
-        float | None,
-        typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
-    ] = None,
+    label: LabelOption,
+    role: RoleOption = None,
+    scope: ScopeOption = None,
+    days: DaysOption = None,
     state_dir: StateDirOption = None,
     json: JsonOption = False,
 ) -> None:
     """Make a token of a role or of scopes, and print it. It is shown this once."""
-    seconds = None if days is None else round(86_400 * days)
-    if seconds == 0:
-        fail("--days: a token is valid for a second at least", USAGE)
-    unknown = unknown_scopes(scope or ())
-    if unknown is not None:
-        fail(unknown, USAGE)
     try:
-        asked = TokenRequest.model_validate(
-            {"label": label, "role": role, "scopes": scope or (), "seconds": seconds}
-        )
-    except ValidationError as error:
-        fail(one_line(error), USAGE)
+        asked = asked_token(label, role, scope, days)
+    except ValueError as error:
+        fail(str(error), USAGE)
     with _store(state_dir) as (store, note):
         made = store.create(asked.label, asked.allowed, asked.seconds)
         note("token create", made)

@@ -15,14 +15,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from veilcam_client import Camera
 from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.commitments import logged_mask
+from veilcam_client.keys.envelopes import open_key
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.models import EveryCaptures
 from veilcam_client.wire.captures import Classification, SealedEmbedding
+from veilcam_client.wire.sealing import Envelope
+from veilcam_optics.keys.masks import draw_levels
 from veilcam_server.demo.daemon import running
-from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
 from veilcam_server.demo.report import Row, write_report
 from veilcam_server.demo.tally import Sample, Tally
 from veilcam_server.demo_data import BUNDLE, DIGITS, FRESH, Digits, load_digits
+from veilcam_server.devices.base import Levels
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
@@ -102,10 +106,7 @@ class _Show:
     ) -> None:
         self._plan, self._bundle, self._scene, self._camera = plan, bundle, scene, camera
         self._key, self._opener = key, Opener(key)
-        self._observer: Observer = (
-            PairObserver(bundle) if bundle.mode == "pairs" else KeyObserver(bundle, key)
-        )
-        self._masks: dict[str, int] = {}
+        self._masks: dict[str, tuple[int, Levels]] = {}
 
     def classify(self, digits: Digits, console: Console) -> tuple[Tally, list[Row]]:
         """Show digits, and return what was counted and what is drawn."""
@@ -154,11 +155,28 @@ class _Show:
         opened = self._opener.open(answer)
         embedding = np.asarray(opened.embedding)
         if answer.epoch not in self._masks:
-            self._masks[answer.epoch] = self._observer.which(image, embedding, sealed.envelope)
-        mask = self._masks[answer.epoch]
+            self._masks[answer.epoch] = self._mask(sealed.envelope)
+        mask, levels = self._masks[answer.epoch]
         sample = _sample(opened, mask, right=answer.label == truth, elapsed=elapsed)
-        levels, block = self._observer.levels(mask), base64.b64decode(sealed.block)
+        block = base64.b64decode(sealed.block)
         return sample, Row(image, levels, block, embedding, dict(answer.scores), truth)
+
+    def _mask(self, envelope: Envelope) -> tuple[int, Levels]:
+        """Return number and levels of the mask of the last capture, as every receiver can.
+
+        A fresh mask is drawn again from the key of its epoch. A stored one is the mask of the
+        bundle that the log commits to.
+        """
+        bundle, epoch = self._bundle, open_key(envelope, self._key, device=None)
+        if bundle.fresh is not None:
+            distribution = bundle.fresh.distribution
+            levels = draw_levels(epoch.levels(), camera=bundle.camera, distribution=distribution)
+            return len(self._masks), levels
+        [record] = self._camera.log.list(limit=1, newest=True).records
+        mask = logged_mask(record, epoch, [pair.levels for pair in bundle.pairs])
+        if mask is None:
+            raise StartError("the daemon's log commits to no mask of the bundle: update it")
+        return mask, bundle.pairs[mask].levels
 
 
 def _sample(opened: Classification, mask: int, *, right: bool, elapsed: float) -> Sample:

@@ -99,10 +99,7 @@ def _simulated(
     from veilcam_optics.camera.imperfections import NOMINAL  # noqa: PLC0415
 
     try:
-        from veilcam_server.devices.simulated.device import (  # noqa: PLC0415
-            Conditions,
-            simulated_device,
-        )
+        from veilcam_server.devices.simulated.device import Conditions, simulated_device  # noqa: PLC0415
         from veilcam_server.devices.simulated.light import (  # noqa: PLC0415
             planned_light,
             read_imperfections,

@@ -146,9 +146,8 @@ def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]
         return list(probe())
     except Exception as error:
         found = " ".join(f"{type(error).__name__}: {error}".split())
-        return [
-            Finding(name, "bad", f"the check failed, {found}", "put right what the error names")
-        ]
+        remedy = "put right what the error names"
+        return [Finding(name, "bad", f"the check failed, {found}", remedy)]
 
 
 def _environment() -> Finding:
@@ -160,36 +159,24 @@ def _environment() -> Finding:
 
 
 def _state_dir(machine: Machine, directory: Path) -> Finding:
-    path = machine.path(directory)
+    name, path = "state directory", machine.path(directory)
     if not path.exists():
         if machine.may_write(_nearest(path)):
-            return Finding("state directory", "ok", f"{directory}, made at the first start")
-        return Finding(
-            "state directory",
-            "bad",
-            f"there is no {directory}, and you may not make it",
-            f"sudo install -d -m 700 -o $USER {directory}, or give another --state-dir",
-        )
+            return Finding(name, "ok", f"{directory}, made at the first start")
+        remedy = f"sudo install -d -m 700 -o $USER {directory}, or give another --state-dir"
+        return Finding(name, "bad", f"there is no {directory}, and you may not make it", remedy)
     if not (path.is_dir() and machine.may_write(path)):
-        return Finding(
-            "state directory",
-            "bad",
-            f"{directory} cannot be written",
-            f"sudo chown -R $USER: {directory}, or give another --state-dir",
-        )
+        remedy = f"sudo chown -R $USER: {directory}, or give another --state-dir"
+        return Finding(name, "bad", f"{directory} cannot be written", remedy)
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
-        return Finding(
-            "state directory",
-            "bad",
-            f"{directory}: others may look ({mode:04o})",
-            f"chmod 700 {directory}",
-        )
+        found = f"{directory}: others may look ({mode:04o})"
+        return Finding(name, "bad", found, f"chmod 700 {directory}")
     try:
         require_readable(path)
     except StartError as error:
-        return Finding("state directory", "bad", *halves(error))
-    return Finding("state directory", "ok", str(directory))
+        return Finding(name, "bad", *halves(error))
+    return Finding(name, "ok", str(directory))
 
 
 def _room(machine: Machine, directory: Path) -> Finding:
@@ -252,12 +239,8 @@ def _wall_clock(machine: Machine, wiring: Wiring) -> Finding:
 def _systemd(machine: Machine) -> Finding:
     told = re.match(r"systemd (\d+)", machine.run("systemctl", "--version") or "")
     if told is None:
-        return Finding(
-            "systemd",
-            "bad",
-            "not there",
-            "use a system with systemd, or start the daemon by other means",
-        )
+        remedy = "use a system with systemd, or start the daemon by other means"
+        return Finding("systemd", "bad", "not there", remedy)
     if int(told[1]) < LEAST_SYSTEMD:
         return Finding("systemd", "bad", told[1], f"update the system: {LEAST_SYSTEMD} or later")
     return Finding("systemd", "ok", told[1])

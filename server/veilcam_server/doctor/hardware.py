@@ -18,12 +18,8 @@ def check_model(machine: Machine) -> Finding:
     model = machine.text("/proc/device-tree/model")
     if model is not None and model.startswith("Raspberry Pi"):
         return Finding("board", "ok", model)
-    return Finding(
-        "board",
-        "bad",
-        model or "no Raspberry Pi",
-        "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'",
-    )
+    remedy = "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'"
+    return Finding("board", "bad", model or "no Raspberry Pi", remedy)
 
 
 def check_release(machine: Machine) -> Iterator[Finding]:
@@ -35,12 +31,9 @@ def check_release(machine: Machine) -> Iterator[Finding]:
     if running == installed:
         yield Finding("release", "ok", running)
     else:
-        yield Finding(
-            "release",
-            "bad",
-            f"{installed} did not start, so {running} runs, which was there before",
-            "see why with journalctl -u veilcamd, and install one that starts",
-        )
+        found = f"{installed} did not start, so {running} runs, which was there before"
+        remedy = "see why with journalctl -u veilcamd, and install one that starts"
+        yield Finding("release", "bad", found, remedy)
 
 
 def check_package(machine: Machine, name: str) -> Finding:
@@ -57,15 +50,10 @@ def check_spi(machine: Machine, wiring: Wiring) -> Finding:
     node = machine.path(wiring.spi)
     if not node.exists():
         texts = (machine.text(f"/boot{folder}/config.txt") or "" for folder in ("/firmware", ""))
-        on = any(re.search(r"^\s*dtparam=spi=on\s*$", text, re.MULTILINE) for text in texts)
-        return Finding(
-            "panel bus",
-            "bad",
-            f"there is no {wiring.spi}",
-            "SPI is switched on in config.txt: restart, or give another --spi"
-            if on
-            else "sudo raspi-config nonint do_spi 0, then restart",
-        )
+        remedy = "sudo raspi-config nonint do_spi 0, then restart"
+        if any(re.search(r"^\s*dtparam=spi=on\s*$", text, re.MULTILINE) for text in texts):
+            remedy = "SPI is switched on in config.txt: restart, or give another --spi"
+        return Finding("panel bus", "bad", f"there is no {wiring.spi}", remedy)
     if not machine.may_write(node):
         return Finding("panel bus", "bad", f"{wiring.spi} is not yours to open", _join("spi"))
     return Finding("panel bus", "ok", str(wiring.spi))
@@ -75,12 +63,8 @@ def check_clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
     """Return whether the panel takes the clock of the bus."""
     found = f"{wiring.spi_hz:,} Hz"
     if wiring.spi_hz > fastest:
-        return Finding(
-            "bus clock",
-            "bad",
-            f"{found}, too fast for the panel",
-            f"give --spi-hz {fastest} or less",
-        )
+        remedy = f"give --spi-hz {fastest} or less"
+        return Finding("bus clock", "bad", f"{found}, too fast for the panel", remedy)
     return Finding("bus clock", "ok", found)
 
 
@@ -104,12 +88,9 @@ def check_lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[
     wanted = GPIO_CHIPS if wiring.gpio_chip is None else (wiring.gpio_chip,)
     label = next((label for label in wanted if label in chips), None)
     if label is None:
-        yield Finding(
-            "GPIO chip",
-            "bad",
-            f"no {' or '.join(wanted)}; there is {', '.join(chips) or 'none that you may open'}",
-            "give --gpio-chip the label of yours" if chips else _join("gpio"),
-        )
+        found = f"no {' or '.join(wanted)}; there is {', '.join(chips) or 'none that you may open'}"
+        remedy = "give --gpio-chip the label of yours" if chips else _join("gpio")
+        yield Finding("GPIO chip", "bad", found, remedy)
         yield from (Finding(name, "skipped", "needs the GPIO chip") for name in names[1:])
         return
     yield Finding("GPIO chip", "ok", f"{label}, {chips[label]}")
@@ -122,13 +103,11 @@ def check_lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[
         if user is None:
             yield Finding(name, "ok", f"{line}, free")
         else:
-            yield Finding(
-                name,
-                "bad",
-                f"{line}, used by {user}",
+            remedy = (
                 "end what uses it (a running veilcamd, or an overlay in config.txt), or wire "
-                "another line",
+                "another line"
             )
+            yield Finding(name, "bad", f"{line}, used by {user}", remedy)
 
 
 def check_answers(wiring: Wiring, display: DisplayDriver, usable: Set[str]) -> Iterator[Finding]:

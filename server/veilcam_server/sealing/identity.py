@@ -8,12 +8,7 @@ from typing import NoReturn, Self
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from pydantic import BaseModel, ConfigDict, Field
 
-from veilcam_server.system.state_file import (
-    Report,
-    StateStore,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.system.state_file import Report, StateStore, log_fault, make_directory
 from veilcam_server.system.state_folder import unusable
 
 KEY_NAME = "device-key.json"

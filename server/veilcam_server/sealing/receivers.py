@@ -146,8 +146,8 @@ class Pairing:
     """
 
     def __init__(self, store: ReceiverStore, device: str, renew: Callable[[], None]) -> None:
-        self.device = device
-        self._store, self._renew = store, renew
+        self.device, self.renew = device, renew
+        self._store = store
 
     @property
     def paired(self) -> tuple[PairedReceiver, ...]:
@@ -166,20 +166,22 @@ class Pairing:
             ProblemError, StorageError: as
                 :meth:`ReceiverStore.add`.
         """
-        return await asyncio.to_thread(self.add_now, question)
+        return await asyncio.to_thread(self._add, question)
 
     async def remove(self, receiver_id: str) -> None:
         """Seal nothing more to a receiver; raises as :meth:`ReceiverStore.remove`."""
-        await asyncio.to_thread(self.remove_now, receiver_id)
+        await asyncio.to_thread(self._remove, receiver_id)
+
+    def pair(self, question: ReceiverRequest) -> PairedReceiver:
+        """Pair with a receiver as :meth:`add`, on this thread; ``renew`` has to follow."""
+        return self._store.add(question.label, parse_receiver(question.key))
 
     # Each on one thread: who breaks off in between leaves no epoch of the receivers of before.
-    def add_now(self, question: ReceiverRequest) -> PairedReceiver:
-        """Pair with a receiver as :meth:`add`, on this thread."""
-        made = self._store.add(question.label, parse_receiver(question.key))
-        self._renew()
+    def _add(self, question: ReceiverRequest) -> PairedReceiver:
+        made = self.pair(question)
+        self.renew()
         return made
 
-    def remove_now(self, receiver_id: str) -> None:
-        """Seal nothing more to a receiver as :meth:`remove`, on this thread."""
+    def _remove(self, receiver_id: str) -> None:
         self._store.remove(receiver_id)
-        self._renew()
+        self.renew()

@@ -12,10 +12,7 @@ from starlette.datastructures import Headers
 
 from veilcam_client.wire.log import Kind
 from veilcam_client.wire.tokens import SCOPES
-from veilcam_server.errors import (
-    StorageError,
-    UnauthorizedError,
-)
+from veilcam_server.errors import StorageError, UnauthorizedError
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.security.limits import ConcurrencyLimit, Lease, RateLimit
 from veilcam_server.security.log import Log

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -24,10 +23,8 @@ from veilcam_client.wire.pairing import (
 )
 from veilcam_client.wire.tokens import ROLES, NewToken, Role
 from veilcam_server.errors import NamedError, UnauthorizedError
-from veilcam_server.security.tokens import TokenStore
+from veilcam_server.security.tokens import NO_DIGEST, TokenStore, secret_digest
 from veilcam_server.system.state_file import Report, StateStore, log_fault
-
-_NO_DIGEST = 64 * "0"
 
 
 class WrongClaimError(NamedError, code="unauthorized"):
@@ -70,11 +67,11 @@ class ClaimedOffer:
     until: float | None
     tokens: TokenStore | None
 
-    def token(self, label: str) -> NewToken | None:
-        """Make the token, if the daemon wants any; raises :class:`StorageError`."""
+    def token(self, label: str) -> AbstractContextManager[NewToken | None]:
+        """Return the context of :meth:`TokenStore.creating`; None where no tokens are wanted."""
         if self.tokens is None:
-            return None
-        return self.tokens.create(label, ROLES[self.role], until=self.until)
+            return nullcontext()
+        return self.tokens.creating(label, ROLES[self.role], until=self.until)
 
 
 class PairingOffers:
@@ -132,7 +129,7 @@ class PairingOffers:
         certificate = None if place.startswith("/") else self.certificate
         line = PairingLine(place, secrets.token_bytes(SECRET_BYTES), certificate)
         offer = _Offer(
-            digest=_digest(line.secret.hex()),
+            digest=secret_digest(line.secret.hex()),
             role=role,
             maker=maker,
             expires=self._now() + OFFER_SECONDS,
@@ -161,7 +158,7 @@ class PairingOffers:
         with self._lock:
             offer = self._file.read()
             right = hmac.compare_digest(
-                _digest(secret), _NO_DIGEST if offer is None else offer.digest
+                secret_digest(secret), NO_DIGEST if offer is None else offer.digest
             )
             found = self._opened(offer)
             if found is None or offer is None:
@@ -199,7 +196,3 @@ def qr_code(line: str) -> tuple[str, ...]:
     import segno  # noqa: PLC0415 - most daemons draw none
 
     return tuple("".join(map(str, row)) for row in segno.make_qr(line).matrix)
-
-
-def _digest(secret: str) -> str:
-    return hashlib.sha256(secret.encode()).hexdigest()

@@ -8,27 +8,25 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import ROLES, SCOPES, NewToken, Scope, Token, role_of
 from veilcam_server.errors import ProblemError, StartError, StorageError, UnauthorizedError
-from veilcam_server.system.state_file import (
-    Report,
-    StateStore,
-    log_fault,
-    make_directory,
-)
+from veilcam_server.system.state_file import Report, StateStore, log_fault, make_directory
 from veilcam_server.system.state_folder import unusable
 
 KEPT = 90 * 86_400.0
 """How long a token that was revoked, or has expired, stays on the list [s]."""
 _PAUSE = 60.0
 """Before the day of a use is written again, where that failed [s]."""
+NO_DIGEST = 64 * "0"
+"""Digest of no secret."""
 _TOKEN = re.compile(r"(?i:bearer) vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
 
 
@@ -74,13 +72,6 @@ class _Row(BaseModel):
     revoked: float | None = None
     used: str | None = None
     digest: str
-
-    @field_validator("scopes")
-    @classmethod
-    def _one_scope_of_scores(cls, scopes: tuple[str, ...]) -> tuple[str, ...]:
-        """Read a scope that is gone as what it allowed: scores in tenths."""
-        now = ("read:scores" if each == "read:scores:rounded" else each for each in scopes)
-        return tuple(dict.fromkeys(now))
 
     @property
     def ended(self) -> float:
@@ -171,10 +162,26 @@ class TokenStore:
         scopes: tuple[Scope, ...],
         lifetime: float | None = None,
         *,
-        until: float | None = None,
         first: bool = False,
     ) -> NewToken:
-        """Make a token.
+        """Make a token; arguments and errors as :meth:`creating`."""
+        with self.creating(label, scopes, lifetime, first=first) as made:
+            return made
+
+    @contextmanager
+    def creating(
+        self,
+        label: str,
+        scopes: tuple[Scope, ...],
+        lifetime: float | None = None,
+        *,
+        until: float | None = None,
+        first: bool = False,
+    ) -> Iterator[NewToken]:
+        """Yield a token that is valid when the context has ended, unless that raises.
+
+        What a full disk can prevent, it prevents before the context begins. The context is short,
+        since no other process changes the tokens meanwhile.
 
         Args:
             label: label for people.
@@ -194,7 +201,7 @@ class TokenStore:
             scopes=tuple(sorted(set(scopes))),
             created=now,
             expires=until if lifetime is None else now + lifetime,
-            digest=_digest(secret),
+            digest=secret_digest(secret),
         )
 
         def add(held: _Tokens) -> _Tokens:
@@ -207,8 +214,9 @@ class TokenStore:
                 )
             return _advanced(held, now, {**_current(held, now), row.id: row})
 
-        self._change(add)
-        return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
+        with closing(self._file.stage(lambda held: add(held or _Tokens()))) as staged:
+            yield NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
+            staged.commit()
 
     def tokens(self) -> tuple[Token, ...]:
         """All tokens, the oldest first; raises :class:`StorageError`."""
@@ -250,7 +258,7 @@ class TokenStore:
         match = _TOKEN.fullmatch(authorization)
         token_id, secret = match.groups() if match else ("", "")
         row = self._known.get(token_id)
-        right = hmac.compare_digest(_digest(secret), row.digest if row else _NO_DIGEST)
+        right = hmac.compare_digest(secret_digest(secret), row.digest if row else NO_DIGEST)
         return self._admitted(row if right else None)
 
     def caller_of(self, token_id: str) -> Caller:
@@ -304,9 +312,6 @@ class TokenStore:
         return now
 
 
-_NO_DIGEST = 64 * "0"
-
-
 def _advanced(held: _Tokens, now: float, rows: Mapping[str, _Row]) -> _Tokens:
     # Not at every use: one second in which the clock stands in 2099 would end tokens for good.
     return _Tokens(seen=max(held.seen, now), tokens=tuple(rows.values()))
@@ -321,7 +326,8 @@ def _by_id(held: _Tokens) -> dict[str, _Row]:
     return {row.id: row for row in held.tokens}
 
 
-def _digest(secret: str) -> str:
+def secret_digest(secret: str) -> str:
+    """Return the SHA-256 of a secret, as files have it."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 

@@ -7,15 +7,14 @@ what the recording tells of its exposures is handed on as the recording's own wo
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from veilcam_client.errors import FileError
 from veilcam_client.recording import Recorded, Recording, read_recording
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Embedding, Prediction, Replay, SealedEmbedding
 from veilcam_client.wire.events import StateChanged
 from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
@@ -25,10 +24,8 @@ from veilcam_server.bundles.loader import Identity
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Condition, Publish
-from veilcam_server.camera.epochs import Epoch
-from veilcam_server.devices import Device
 from veilcam_server.errors import ReplayingError, StartError
-from veilcam_server.masks.source import Evidence, MaskSource
+from veilcam_server.masks.source import Evidence
 from veilcam_server.service.served_camera import Releases, ServedCamera
 from veilcam_server.settings import Settings
 
@@ -106,63 +103,26 @@ class ReplayedCamera:
         none = Preparation(ready=False, prepared=0, last_s=0.0, late=0, reused=0)
         return Rotation(policy=self.policy, epoch=None, captures=0, preparation=none)
 
-    def due_in(self) -> float:
-        """No mask is ever due."""
+    def _refuse(self, *_: object) -> NoReturn:
+        """Refuse what needs a panel."""
+        raise ReplayingError
+
+    def _do_nothing(self) -> None:
+        """No mask is prepared, shown or tested."""
+
+    def _never(self) -> float:
+        """No mask and no test is ever due."""
         return math.inf
 
-    def await_next(self) -> None:
-        """No mask is prepared."""
-
-    def test_due_in(self) -> float:
-        """Nothing is tested."""
-        return math.inf
-
-    def test_if_due(self) -> None:
-        """Nothing is tested."""
-
-    def rotate(self) -> None:
-        """Refused, as all that needs a panel is."""
-        raise ReplayingError
-
-    def rotate_if_due(self) -> None:
-        """No mask is ever due."""
-
-    def first_of(self, source: MaskSource) -> Epoch:  # noqa: ARG002 - nothing shows it
-        """Refused."""
-        raise ReplayingError
-
-    def change_source(self, source: MaskSource, first: Epoch) -> None:  # noqa: ARG002 - as above
-        """Refused."""
-        raise ReplayingError
-
-    def rest(self, reason: str) -> None:  # noqa: ARG002 - there is no panel
-        """Refused."""
-        raise ReplayingError
-
-    def wake(self) -> None:
-        """Nothing ever rests."""
-
-    def exclusive(self) -> AbstractContextManager[Device]:
-        """Refused."""
-        raise ReplayingError
-
-    def adopt(
-        self,
-        calibration: SignedCalibration,  # noqa: ARG002 - as above
-        settle: float,  # noqa: ARG002
-        source: MaskSource,  # noqa: ARG002
-    ) -> None:
-        """Refused."""
-        raise ReplayingError
+    rotate = first_of = change_source = rest = exclusive = adopt = _refuse
+    await_next = test_if_due = rotate_if_due = wake = renew = _do_nothing
+    due_in = test_due_in = _never
 
     def stop(self) -> None:
         """Give nothing more."""
         if not self._stopping:
             self._stopping = True
             self._publish(partial(StateChanged, **self.state._asdict()))
-
-    def renew(self) -> None:
-        """No mask is prepared."""
 
     def capture(self, *, release: bool) -> Captured:  # noqa: ARG002 - it was released long ago
         """Return the next recorded capture.

@@ -10,16 +10,10 @@ import asyncio
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 from veilcam_client.keys.commitments import answer_digest
-from veilcam_client.wire.captures import (
-    Capture,
-    Classification,
-    Embedding,
-    Prediction,
-    SealedEmbedding,
-)
+from veilcam_client.wire.captures import Capture, Classification, Prediction
 from veilcam_client.wire.events import Gone, Seen
 from veilcam_client.wire.watch import Belief, Sighting
 from veilcam_server.camera.capture import Captured, Provenance
@@ -32,42 +26,6 @@ AGE_STEP = 60
 """Step of the age of a self test in the log [s]: when light ended one early is not told."""
 Scores = Literal["none", "tenths", "all"]
 """What is told of a label's probability: nothing, tenths, or all of it."""
-
-
-def capture_response(
-    name: str, captured: Captured, embedding: Embedding | SealedEmbedding
-) -> Capture:
-    """One embedding as it may leave."""
-    return Capture(
-        id=name,
-        epoch=captured.epoch,
-        number=captured.number,
-        taken_at=captured.taken_at,
-        embedding=embedding,
-        replay=captured.replay,
-    )
-
-
-def classification_response(
-    name: str,
-    captured: Captured,
-    prediction: Prediction,
-    embedding: Embedding | SealedEmbedding | None,
-    scores: Scores,
-) -> Classification:
-    """One label, with the embedding where it was asked for."""
-    told = _told(prediction, scores)
-    return Classification(
-        id=name,
-        epoch=captured.epoch,
-        number=captured.number,
-        taken_at=captured.taken_at,
-        label=told.label,
-        confidence=told.confidence,
-        scores=told.scores,
-        embedding=embedding,
-        replay=captured.replay,
-    )
 
 
 def logged(
@@ -84,6 +42,17 @@ def logged(
         "caller": caller,
     }
     return {name: value for name, value in facts.items() if value is not None}
+
+
+def _named(name: str, captured: Captured) -> dict[str, Any]:
+    """Return what every answer tells of a capture."""
+    return {
+        "id": name,
+        "epoch": captured.epoch,
+        "number": captured.number,
+        "taken_at": captured.taken_at,
+        "replay": captured.replay,
+    }
 
 
 def _told(prediction: Prediction, scores: Scores) -> Prediction:
@@ -173,14 +142,17 @@ class Readers:
         queued: float | None,
         caller: str | None,
     ) -> Classification:
-        prediction = captured.classify()
-        embedding = None if queued is None else captured.release(queued)
-        answer = classification_response(name, captured, prediction, embedding, scores)
+        told = _told(captured.classify(), scores)
+        answer = Classification(
+            **_named(name, captured),
+            **dict(told),
+            embedding=None if queued is None else captured.release(queued),
+        )
         self._write(answer, captured, caller)
         return answer
 
     def _release(self, name: str, captured: Captured, queued: float, caller: str | None) -> Capture:
-        answer = capture_response(name, captured, captured.release(queued))
+        answer = Capture(**_named(name, captured), embedding=captured.release(queued))
         self._write(answer, captured, caller)
         return answer
 

@@ -20,17 +20,8 @@ from typing import Generic, TypeAlias, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from veilcam_optics.files import sync_folder
-from veilcam_server.errors import (
-    ProblemError,
-    StartError,
-    StorageError,
-)
-from veilcam_server.system.state_folder import (
-    open_file,
-    read_file,
-    require_usable,
-    unusable,
-)
+from veilcam_server.errors import ProblemError, StartError, StorageError
+from veilcam_server.system.state_folder import open_file, read_file, require_usable, unusable
 
 StateT = TypeVar("StateT", bound=BaseModel)
 Report: TypeAlias = Callable[[ProblemError], None]

@@ -47,9 +47,6 @@ class Thresholds:
     """Thresholds of captures of a known thing, and of its report.
 
     The defaults are those of the simulated camera; docs/watch.md has their measurements.
-
-    Raises:
-        ValueError: a threshold is not valid.
     """
 
     least_light: float = 0.002
@@ -58,12 +55,6 @@ class Thresholds:
     """Largest :attr:`Evidence.novelty`, which a bundle without scene statistics does not have."""
     seen: float = 0.6
     """Probability from which a thing is reported as seen."""
-
-    def __post_init__(self) -> None:
-        for name in ("least_light", "most_novelty", "seen"):
-            threshold = getattr(self, name)
-            if not (math.isfinite(threshold) and threshold > 0):
-                raise ValueError(f"{name} = {threshold} is not valid: use a number > 0")
 
     def admits(self, evidence: Evidence) -> bool:
         """Return whether a capture looks like one of a thing."""
@@ -89,11 +80,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """Rates at which things come and go [1/s]; all greater than zero.
-
-    Raises:
-        ValueError: a rate is not valid.
-    """
+    """Rates at which things come and go [1/s]; all greater than zero."""
 
     arrival: float = 0.1
     """Rate a, from nothing to anything."""
@@ -101,12 +88,6 @@ class Dynamics:
     """Rate b, from a thing to nothing."""
     exchange: float = 0.05
     """Rate c, from a thing to another thing."""
-
-    def __post_init__(self) -> None:
-        for name in ("arrival", "departure", "exchange"):
-            rate = getattr(self, name)
-            if not (math.isfinite(rate) and rate > 0):
-                raise ValueError(f"{name} = {rate} /s is not valid: use a number > 0")
 
     def prior(self, classes: int) -> Probabilities:
         """Return the belief after a long time without a capture."""
@@ -136,11 +117,7 @@ class Dynamics:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """Model of the evidence of one capture; docs/watch.md has the measurement of each number.
-
-    Raises:
-        ValueError: a number is not valid.
-    """
+    """Model of the evidence of one capture; docs/watch.md has the measurement of each number."""
 
     temperature: float
     """Temperature T, which divides logits."""
@@ -150,14 +127,6 @@ class Sensing:
     """Probability f that a capture of nothing known looks like one of a thing."""
     misread: float = 0.003
     """Probability e that a scene reads as another class behind every mask."""
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.temperature) and self.temperature > 0):
-            raise ValueError(f"temperature = {self.temperature} is not valid: use a number > 0")
-        for name in ("missed", "mistaken", "misread"):
-            share = getattr(self, name)
-            if not 0 < share < 0.5:
-                raise ValueError(f"{name} = {share} is not valid: use a number between 0 and 0.5")
 
     def likelihood(self, logits: Sequence[float], *, admitted: bool) -> Probabilities:
         """Return the likelihood L, (1 + classes,); finite, and not all zero.

@@ -84,6 +84,7 @@ def test_line_pairs_once_and_a_viewer_takes_no_captures(hall: FakeCamera, settin
     again = runner.invoke(app, ["pair", line, "--profile", "again"])
     assert again.exit_code == 4
     assert "this line pairs nothing" in again.stderr
+    assert "VEILCAM_TOKEN" not in again.stderr
     assert not list(settings.glob("again*"))
 
 

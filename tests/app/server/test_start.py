@@ -15,7 +15,6 @@ import pytest
 import safetensors.numpy
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from veilcam_optics.transfer.tables import make_transfer
 from veilcam_server.daemon import build_service
 from veilcam_server.devices.errors import DisplayError, SensorError
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -184,42 +183,3 @@ async def test_captures_each_see_the_next_scene(tmp_path: Path, bundle_file: Pat
         answers.append(await service.capture())
     light_of = np.array([float(np.asarray(answer).mean()) for answer in answers])
     assert light_of / light_of[0] == pytest.approx([1.0, 4.0, 1.0, 1.0], rel=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.anyio
-@pytest.mark.parametrize("fill", [1.0, 0.2])
-async def test_bundle_says_how_much_of_an_embedding_pixel_is_averaged(
-    tmp_path: Path, bundle: Bundle, fill: float
-) -> None:
-    """The label is that of the light in the boxes, to the noise of a measurement."""
-    bundle = dataclasses.replace(
-        bundle, embedding=dataclasses.replace(bundle.embedding, fill=fill), pairs=bundle.pairs[:1]
-    )
-    write_bundle(tmp_path / "a.veilcam", bundle)
-    image = np.zeros(bundle.scene.shape, np.uint8)
-    image[4:6, 5:7] = 255
-    write_scene(tmp_path / "a.npy", image)
-    more = {"settle": 0.0, "exposure": 0.0, "release": "raw", "raw_budget": 9}
-    service = build_service(settings(tmp_path, tmp_path / "a.veilcam", tmp_path / "a.npy", **more))
-    async with service.open():
-        answer = await service.classify(include_embedding=True)
-    pair = bundle.pairs[0]
-    levels = pair.levels.astype(np.float64) / (bundle.camera.panel.levels - 1)
-    light = {
-        side: np.ravel(image / 255)
-        @ make_transfer(
-            *(bundle.camera, bundle.scene, dataclasses.replace(bundle.embedding, fill=side)),
-            like=np.empty(0),
-        )(levels)
-        for side in (1.0, 0.2)
-    }
-    assert answer.embedding is not None
-    seen = np.asarray(answer.embedding).ravel()
-    off = {
-        side: np.linalg.norm(seen - there) / np.linalg.norm(there) for side, there in light.items()
-    }
-    assert off.pop(fill) < 0.03
-    assert min(off.values()) > 0.06
-    scores = pair.weights["0.weight"] @ light[fill] + pair.weights["0.bias"]
-    assert answer.label == bundle.labels[int(np.argmax(scores))]

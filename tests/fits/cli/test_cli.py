@@ -13,7 +13,6 @@ from tensorboard.backend.event_processing import (  # type: ignore[import-untype
 )
 from tests.fits.conftest import Call
 
-from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
@@ -21,11 +20,7 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.cli.bundle import light_line
 from veilcam_training.cli.fit import parse_budget, run_folder
-from veilcam_training.config.settings import FitSettings
 from veilcam_training.data import Source
-from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import run_fit
-from veilcam_training.experiments.keyring import as_bundle
 from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import stream
 from veilcam_training.trainer import loop as fitting
@@ -176,13 +171,6 @@ def test_keyring_for_a_binning_of_no_device(call: Call, digit_folder: Path, tmp_
     )
     assert not work.exists()  # nothing was fitted
     assert not out.exists()
-
-
-def test_no_bundle_of_a_binning_that_no_device_makes(source: Source) -> None:
-    settings = FitSettings(embedding="3x4", binning="point", epochs=1, batch=300)
-    outcome = run_fit(settings, source, Camera())
-    with pytest.raises(TrainingError, match="use binning 'area'"):
-        as_bundle([outcome], source, Camera())
 
 
 @pytest.mark.thorough

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from tests.unit.training.conftest import write_digits
-from torch import nn
 
 from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_training.bundle.layers import Affine
@@ -22,12 +18,10 @@ from veilcam_training.encoders import PanelErrors
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
-from veilcam_training.experiments.keyring import as_pair
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
-from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import derive, seeded
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
-from veilcam_training.trainer.loop import Fit, fit, load_checkpoint
+from veilcam_training.trainer.loop import Fit, fit
 from veilcam_training.trainer.step import evaluate, make_optimiser
 from veilcam_training.transforms.augmentation import Augmentation
 
@@ -297,41 +291,6 @@ def test_resumed_is_as_unbroken(few: Source, tmp_path: Path, chosen: FitSettings
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from veilcam_optics.camera.geometry import Camera
-from veilcam_training.data import open_source
-from veilcam_training.config.settings import FitSettings
-from veilcam_training.experiments.fit import run_fit
-from veilcam_training.trainer.callbacks import Callback
-
-class Kill(Callback):
-    def step(self, epoch, done, steps):
-        if (epoch, done) == (1, 3):
-            os.kill(os.getpid(), signal.SIGKILL)
-
-settings = FitSettings.model_validate_json(sys.argv[1])
-source = open_source("mnist", Path(sys.argv[2]))
-run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kill()])
-"""
-
-
-@pytest.mark.thorough
-def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: Path) -> None:
-    chosen, path = settings(epochs=2), tmp_path / "fit.checkpoint"
-    arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]
-    killed = subprocess.run([sys.executable, "-c", KILLED, *arguments], check=False)
-    assert killed.returncode == -signal.SIGKILL
-    saved = load_checkpoint(path, chosen.fingerprint(source))
-    assert saved is not None
-    assert len(saved["history"]) == 1
-    resumed = run_fit(chosen, source, Camera(), checkpoint=path)
-    unbroken = run_fit(chosen, source, Camera())
-    assert torch.equal(weights_of(resumed.fit), weights_of(unbroken.fit))
-    assert resumed.accuracy == unbroken.accuracy
-
-
 def test_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
     run_fit(settings(epochs=1), source, Camera(), checkpoint=path)
@@ -423,14 +382,3 @@ def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str)
     fit(model, Split(first, first), chosen)
     measurements = {tuple(measurement) for measurement in torch.cat(seen).tolist()}
     assert len(measurements) == 2 * len(first)
-
-
-def test_bundle_holds_a_plain_classifier(source: Source) -> None:
-    chosen = settings(classifier="FC20", epochs=2, normalisation="white")
-    model = make_model(chosen, source, Camera())
-    assert not any(isinstance(layer, nn.ReLU) for layer in list(model.classifier)[:2])
-    fit(model, split(source.training()), chosen)
-    pair = as_pair(model)
-    values = model.encoder(source.test().scenes(slice(0, 20)))
-    found = build_classifier(pair.layers, pair.weights)(values)
-    torch.testing.assert_close(found, model.classifier(values))

@@ -23,7 +23,7 @@ from veilcam_client.wire import bundles, lease, pairing, rotation, status, token
 EXAMPLES: dict[str, dict[str, Any]] = {
     type(each).__name__: each.model_dump(mode="json")
     for room in (bundles, lease, pairing, rotation, status, tokens, watch)
-    for each in room.EXAMPLES
+    for each in room.examples()
 }
 """Answers by the name of their model, as the OpenAPI document has them."""
 AT = "2026-01-02T03:04:05Z"

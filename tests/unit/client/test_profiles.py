@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -184,7 +186,7 @@ def test_nothing_is_left_of_a_profile_that_failed(
 
 
 @pytest.mark.parametrize("text", ["profiles = {}\n", 'default = """\nhall"""\n'])
-def test_file_that_cannot_be_added_to_is_left_alone(
+def test_file_that_cannot_be_added_to_is_left_alone_and_no_line_is_used(
     folder: Path, receiver: ReceiverKey, text: str
 ) -> None:
     (folder / "config.toml").write_text(text)
@@ -192,10 +194,43 @@ def test_file_that_cannot_be_added_to_is_left_alone(
     if "default" in text:
         text += f'[profiles.hall]\nurl = "u"\ndevice = "{MADE.device}"\n'
         (folder / "config.toml").write_text(text)
-    with pytest.raises(FileError, match="in a way that no profile can be added to"):
-        add(receiver)
+    with (
+        pytest.raises(FileError, match="in a way that no profile can be added to"),
+        new_profile("attic", receiver, exact=False),
+    ):
+        pytest.fail("a line would be claimed now")
     assert (folder / "config.toml").read_text() == text
     assert sorted(folder.iterdir()) == before
+
+
+def test_two_profiles_made_at_once_are_both_kept(settings: Path, receiver: ReceiverKey) -> None:
+    with ThreadPoolExecutor() as threads:
+        with new_profile("attic", receiver, exact=False) as (name, save):
+            other = threads.submit(add, ReceiverKey.generate())
+            with pytest.raises(TimeoutError):
+                other.result(0.2)
+            assert (name, save(MADE)) == ("attic", True)
+        assert other.result(9) == ("attic-2", True)
+    assert profile_of(profile="attic").key != profile_of(profile="attic-2").key
+
+
+def test_folders_of_a_new_profile_are_the_users_alone_whatever_the_umask(
+    settings: Path, receiver: ReceiverKey
+) -> None:
+    before = os.umask(0)
+    try:
+        add(receiver)
+    finally:
+        os.umask(before)
+    assert {each.stat().st_mode & 0o077 for each in (settings.parent, *settings.iterdir())} == {0}
+
+
+@pytest.mark.parametrize("text", [f"\ufeff{FILE}", FILE.replace("\n", "\r\n")])
+def test_file_of_another_editor_is_added_to(folder: Path, receiver: ReceiverKey, text: str) -> None:
+    (folder / "config.toml").write_text(text, newline="")
+    assert add(receiver) == ("attic", False)
+    assert profile_of().token == "vc_hall"
+    assert profile_of(profile="attic").token == "vc_attic"
 
 
 def test_file_that_is_a_link_stays_one(

@@ -72,4 +72,7 @@ def test_names_make_topics() -> None:
 @pytest.mark.parametrize("name", ["", "a/b", "a b", "+", "#", "ä", "a\n"])
 def test_name_that_cannot_stand_in_a_topic_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="no level of a topic"):
-        Names(name)
+        Names(base=name)
+    if name:
+        with pytest.raises(ValueError, match="no level of a topic"):
+            Names(name)

@@ -60,7 +60,9 @@ def test_all_is_on_the_disk_before_the_name_and_the_name_before_the_end(
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", moved)
+    open_files = len(os.listdir("/proc/self/fd"))
     write_whole(tmp_path / "file", b"content")
+    assert len(os.listdir("/proc/self/fd")) == open_files
     assert order == ["file", "name", "folder"]
     order.clear()
     create_private(tmp_path / "other", b"content")

@@ -65,12 +65,6 @@ def test_open_area_is_not_floored(oversampling: float) -> None:
     assert power == pytest.approx(rows * 5 * panel.aperture_y * panel.aperture_x, rel=1e-9)
 
 
-def test_dim_mask_stays_dim() -> None:
-    light = GridLight(CAMERA, SCENE, 1)
-    weights = mask(CAMERA)
-    assert torch.allclose(light.psf(weights / 2), light.psf(weights) / 4, rtol=1e-12)
-
-
 def test_weights_at_the_ends_do_not_die() -> None:
     light = GridLight(CAMERA, SCENE, 1)
     edge = torch.ones(CAMERA.mask_shape, dtype=torch.float64)

@@ -346,13 +346,3 @@ def test_times_follow_from_exposure_and_settling(
 )
 def test_settings_that_only_just_fit_are_taken(given: dict[str, Any]) -> None:
     assert Settings(**{"bundle": Path("a.veilcam"), "device": "pi", **given})
-
-
-@pytest.mark.parametrize("place", ["argument", "environment"])
-def test_form_white_is_refused_with_what_to_do(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = {"release": "white"} if place == "argument" else {}
-    if place == "environment":
-        monkeypatch.setenv("VEILCAM_RELEASE", "white")
-    assert re.match(
-        r"--release: the form 'white' is gone.*: use sealed.* or use none", refused(**given)
-    )

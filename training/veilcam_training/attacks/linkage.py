@@ -176,18 +176,6 @@ def link_area(link: Link, first: Tensor, second: Tensor) -> float:
     return area(scores.ravel(), same.ravel())[0]
 
 
-def first_ranks(scores: Tensor) -> Tensor:
-    """Return whether each first finds its second before all others of its block.
-
-    Args:
-        scores: (blocks, pairs, pairs).
-
-    Returns:
-        bool (blocks, pairs).
-    """
-    return scores.argmax(2) == torch.arange(scores.shape[2])
-
-
 class _Pair(nn.Module):
     """One hidden layer on products and differences of a pair, and on their lengths."""
 

@@ -172,7 +172,7 @@ setInterval(() => {
 
 function show() {
   const wanted = location.hash.slice(1);
-  const name = wanted in VIEWS ? wanted : "live";
+  const name = Object.hasOwn(VIEWS, wanted) ? wanted : "live";
   const [title, make, scope] = VIEWS[name];
   shown?.close?.();
   shown = !scope || camera.may(scope) ? make(camera) : refused(title, scope);

@@ -152,12 +152,7 @@ export function calibrationView(camera) {
       ["Dead rows and columns", String(found.dead_rows.length + found.dead_columns.length)],
       ["Error of what it predicts", `${(100 * found.psf_residual).toPrecision(2)} %`],
     ];
-    record.replaceChildren(
-      card(
-        "What is known",
-        facts(rows),
-      ),
-    );
+    record.replaceChildren(card("What is known", facts(rows)));
   }
 
   async function load() {

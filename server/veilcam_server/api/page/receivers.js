@@ -91,9 +91,10 @@ export function receiversView(camera) {
   load().catch((error) => place.replaceChildren(empty(error.message)));
   const release = h("p", { class: "note" });
   const list = card("Paired receivers", release, place);
+  const pairs = camera.may("admin:receivers") && camera.may("admin:tokens");
   return {
     // What comes and goes is last, so that nothing moves for it.
-    elements: [columns(camera.may("admin:receivers") ? [card("Pair a receiver", pair)] : [], [list, offered])],
+    elements: [columns(pairs ? [card("Pair a receiver", pair)] : [], [list, offered])],
     update: () => say(release, RELEASES[camera.status.release]),
     tick,
     close: () => close(""),

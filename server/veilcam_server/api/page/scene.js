@@ -38,13 +38,8 @@ async function digits() {
   return sheet;
 }
 
-function canvas() {
-  return h("canvas", { width: SIDE, height: SIDE, "aria-hidden": "true" });
-}
-
-function bytes(picture) {
-  return new Promise((resolve) => picture.toBlob(resolve, "image/png"));
-}
+const canvas = () => h("canvas", { width: SIDE, height: SIDE, "aria-hidden": "true" });
+const bytes = (picture) => new Promise((resolve) => picture.toBlob(resolve, "image/png"));
 
 async function digit(label) {
   const image = await digits();

@@ -39,22 +39,16 @@ export function isOpaque({ status, watch }) {
 // Nothing is looked at, because that is wanted now.
 export const isResting = (watch) => RESTING.has(watch?.activity);
 
-export function activityText(activity, detail, policy) {
-  switch (activity) {
-    case "looking":
-      return `It looks by itself, up to ${rateText(policy.rate_hz)}.`;
-    case "on_request":
-      return "It looks when it is asked.";
-    case "off":
-      return "It is off: the panel is opaque.";
-    case "quiet":
-      return `Quiet hours until ${policy.quiet.end}: the panel is opaque.`;
-    case "leased":
-      return "It does not look: somebody else holds the camera.";
-    default:
-      return `It waits${detail ? `: ${detail}` : "."}`;
-  }
-}
+const ACTIVITIES = {
+  looking: (_, policy) => `It looks by itself, up to ${rateText(policy.rate_hz)}.`,
+  on_request: () => "It looks when it is asked.",
+  off: () => "It is off: the panel is opaque.",
+  quiet: (_, policy) => `Quiet hours until ${policy.quiet.end}: the panel is opaque.`,
+  leased: () => "It does not look: somebody else holds the camera.",
+  waiting: (detail) => `It waits${detail ? `: ${detail}` : "."}`,
+};
+
+export const activityText = (activity, detail, policy) => (ACTIVITIES[activity] ?? ACTIVITIES.waiting)(detail, policy);
 
 function rateText(rate) {
   if (rate >= 1) return rate === 1 ? "once a second" : `${rate} times a second`;
@@ -131,38 +125,23 @@ export function next(rotation) {
   return { text: `It changes ${within} ${duration(left)}.`, share: age / policy.seconds };
 }
 
-export function eventText(event) {
-  switch (event.kind) {
-    case "state":
-      return [STATES[event.state], event.detail].filter(Boolean).join(": ");
-    case "mask":
-      return `A new mask is shown, epoch ${event.epoch.slice(0, 8)}`;
-    case "capture":
-      return "An embedding was taken";
-    case "classification":
-      return `It saw ${event.label}`;
-    case "seen":
-      return `It sees ${event.label}`;
-    case "belief":
-      return event.sighting ? `It sees ${event.sighting.label}` : "It sees nothing";
-    case "gone":
-      return `${event.label} is gone, after ${duration(event.duration_s)}`;
-    case "watch":
-      return activityText(event.activity, event.detail, event.policy);
-    case "rotation":
-      return `Masks change ${policyText(event.policy)}`;
-    case "bundle":
-      return `Another bundle is in use: ${event.task}`;
-    case "calibration":
-      return `Calibration: ${event.run.stage}`;
-    case "fault":
-      return `${event.detail} (${event.code})`;
-    case "gap":
-      return event.missed === null ? "The daemon was restarted" : `${event.missed} events were missed`;
-    default:
-      return event.kind;
-  }
-}
+const EVENTS = {
+  state: ({ state, detail }) => [STATES[state], detail].filter(Boolean).join(": "),
+  mask: ({ epoch }) => `A new mask is shown, epoch ${epoch.slice(0, 8)}`,
+  capture: () => "An embedding was taken",
+  classification: ({ label }) => `It saw ${label}`,
+  seen: ({ label }) => `It sees ${label}`,
+  belief: ({ sighting }) => (sighting ? `It sees ${sighting.label}` : "It sees nothing"),
+  gone: ({ label, duration_s: lasted }) => `${label} is gone, after ${duration(lasted)}`,
+  watch: ({ activity, detail, policy }) => activityText(activity, detail, policy),
+  rotation: ({ policy }) => `Masks change ${policyText(policy)}`,
+  bundle: ({ task }) => `Another bundle is in use: ${task}`,
+  calibration: ({ run }) => `Calibration: ${run.stage}`,
+  fault: ({ detail, code }) => `${detail} (${code})`,
+  gap: ({ missed }) => (missed === null ? "The daemon was restarted" : `${missed} events were missed`),
+};
+
+export const eventText = (event) => EVENTS[event.kind]?.(event) ?? event.kind;
 
 export function policyText(policy) {
   if (policy.mode === "off") return "by hand alone";

@@ -38,7 +38,7 @@ _UPLOAD: dict[str, Any] = {
     }
 }
 _CHANGE = (*CHANGE, "too_many_requests", "not_enabled")
-_USE = ("bundle_refused", "bundle_refused", "bundle_refused", "bundle_older", "bundle_refused")
+_USE = ("bundle_refused", "bundle_older")
 
 router = APIRouter(
     prefix=PREFIX,

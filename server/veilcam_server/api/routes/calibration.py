@@ -38,9 +38,7 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
     "",
     status_code=202,
     dependencies=_CALIBRATES,
-    responses=problems(
-        *BODY, *CHANGE, "leased", "not_ready", "calibration_impossible", "not_ready"
-    ),
+    responses=problems(*BODY, *CHANGE, "leased", "not_ready", "calibration_impossible"),
 )
 async def start_calibration(
     service: ServiceDep, once: OnceDep, question: CalibrationRequest | None = None
@@ -56,7 +54,7 @@ async def start_calibration(
 @router.post(
     "/scene",
     dependencies=_CALIBRATES,
-    responses=problems(*BODY, *CHANGE, "leased", "conflict", "conflict"),
+    responses=problems(*BODY, *CHANGE, "leased", "conflict"),
 )
 async def confirm_scene(
     service: ServiceDep, once: OnceDep, question: SceneConfirmation

@@ -33,8 +33,7 @@ from veilcam_server.errors import ProblemError
 from veilcam_server.security.tokens import Caller
 from veilcam_server.service.service import Service
 
-_RELEASE = ("embedding_withheld", "embedding_withheld", "masks_spent")
-_REFUSALS = (*BODY, "leased", *DEVICE, "not_enabled", "not_enabled", *_RELEASE)
+_REFUSALS = (*BODY, "leased", *DEVICE, "not_enabled", "embedding_withheld", "masks_spent")
 
 router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Captures"])
 

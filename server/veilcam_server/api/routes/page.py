@@ -72,8 +72,7 @@ _ASSET: dict[int | str, dict[str, Any]] = {
     **KNOWN,
     # A name that there is not is like any other path: nobody is told without a token.
     **open_problems(
-        *("invalid_request", "not_found", "unauthorized", "too_many_requests", "too_many_requests"),
-        "storage_failed",
+        "invalid_request", "not_found", "unauthorized", "too_many_requests", "storage_failed"
     ),
 }
 

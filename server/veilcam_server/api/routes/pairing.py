@@ -11,12 +11,11 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 
 from veilcam_client.wire.pairing import (
-    SECRET_BYTES,
     Paired,
     PairingClaim,
-    PairingLine,
     PairingOffer,
     PairingRequest,
+    is_loopback,
 )
 from veilcam_client.wire.tokens import ROLES
 from veilcam_server.api.dependencies import (
@@ -58,7 +57,7 @@ router = APIRouter(prefix=PREFIX, redirect_slashes=False, tags=["Receivers"])
 @router.post(
     "",
     status_code=201,
-    dependencies=[requires("admin:receivers"), Depends(_pairing)],
+    dependencies=[requires("admin:receivers"), requires("admin:tokens"), Depends(_pairing)],
     responses=problems(*BODY, *CHANGE, "not_enabled", "conflict"),
 )
 async def offer_pairing(
@@ -85,7 +84,7 @@ async def offer_pairing(
     status_code=201,
     responses=open_problems(
         *("unauthorized", "too_many_requests", "body_too_large", "invalid_request"),
-        *(*CHANGE, "not_enabled", "conflict", "conflict"),
+        *(*CHANGE, "not_enabled", "conflict"),
     ),
 )
 async def claim_pairing(
@@ -113,12 +112,9 @@ def _pair(
 ) -> tuple[Paired, str | None]:
     """Return what the claim is answered with, and the id of its token."""
     with offers.claimed(question.secret) as offer:
-        made = pairing.add_now(question)
-        try:
-            token = offer.token(question.label)
-        except Exception:
-            pairing.remove_now(made.id)
-            raise
+        with offer.token(question.label) as token:
+            made = pairing.pair(question)
+        pairing.renew()
     secret, token_id = (None, None) if token is None else (token.secret, token.id)
     paired = Paired(device=pairing.device, receiver=made, role=offer.role, token=secret)
     return paired, token_id
@@ -133,19 +129,10 @@ def _place(request: Request, offers: PairingOffers) -> str:
     host = request.headers["host"].lower()
     # A browser names the place that it asks, also where a proxy asks in its stead.
     origins = [urlsplit(each).netloc for each in request.headers.getlist("origin")]
-    if not (tls and offers.certificate) and not all(map(_is_loopback, (host, *origins))):
+    if not (tls and offers.certificate) and not all(map(is_loopback, (host, *origins))):
         raise ProblemError(
             "conflict",
             "this request came over plain HTTP, maybe from a proxy, and a line would name no "
             "certificate: use 'veilcam receiver add', or 'veilcamd pair' on the camera's machine",
         )
     return host if re.search(r":\d+$", host) else f"{host}:{443 if tls else 80}"
-
-
-def _is_loopback(place: str) -> bool:
-    """Return whether a line without a certificate may lead there."""
-    try:
-        PairingLine(place, bytes(SECRET_BYTES))
-    except ValueError:
-        return False
-    return True

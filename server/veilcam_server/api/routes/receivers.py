@@ -27,7 +27,7 @@ async def receivers(service: ServiceDep) -> Receivers:
     "",
     status_code=201,
     dependencies=[requires("admin:receivers")],
-    responses=problems(*(*BODY, *_CHANGE, "invalid_request", "conflict", "conflict")),
+    responses=problems(*BODY, *_CHANGE, "conflict"),
 )
 async def add_receiver(
     request: Request, service: ServiceDep, once: OnceDep, question: ReceiverRequest

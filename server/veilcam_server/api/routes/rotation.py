@@ -38,7 +38,7 @@ async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
 @router.post(
     "/advance",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(*BODY, "leased", *DEVICE, "not_enabled", "not_enabled"),
+    responses=problems(*BODY, "leased", *DEVICE, "not_enabled"),
 )
 async def rotate(
     service: ServiceDep,

@@ -23,8 +23,7 @@ _PICTURE: dict[str, Any] = {
     }
 }
 _REFUSALS = (
-    *("invalid_request", "body_too_large", "not_enabled", "leased", "queue_full"),
-    "not_ready",
+    *("invalid_request", "body_too_large", "not_enabled", "leased", "queue_full", "not_ready"),
 )
 
 router = APIRouter(
@@ -39,7 +38,7 @@ router = APIRouter(
     "/scene",
     dependencies=[uploads()],
     openapi_extra=_PICTURE,
-    responses=problems("invalid_request", "too_many_requests", *_REFUSALS),
+    responses=problems(*_REFUSALS),
 )
 async def hold_scene(service: ServiceDep, request: Request) -> HeldScene:
     """Hold a picture up, until another one is.

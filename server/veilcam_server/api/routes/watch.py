@@ -34,13 +34,7 @@ async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
 @router.put(
     "",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(
-        *BODY,
-        "leased",
-        "not_ready",
-        "display_failed",
-        "not_enabled",
-    ),
+    responses=problems(*BODY, "leased", "not_ready", "display_failed", "not_enabled"),
 )
 async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy) -> Watch:
     """Let the camera look by itself, or on request alone, or not at all; also after a restart."""

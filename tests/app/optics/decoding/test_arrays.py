@@ -26,7 +26,6 @@ from veilcam_optics.decoding import (
     SceneStatistics,
     fit_statistics,
 )
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Transfer
@@ -179,20 +178,6 @@ def test_numpy_overwrites_what_is_erased(
     decoder.erase()
     assert not any(getattr(decoder, name).any() for name in secret)
     assert decoder.basis.any()
-
-
-def test_numpy_is_refused_what_torch_is_refused() -> None:
-    job = draw(2)
-    _, decoder = job.prepared()
-    with pytest.raises(OpticsError, match=r"measurements\.shape"):
-        decoder(np.zeros((2, 99)))
-    for gain in (0.0, np.nan, np.full(len(decoder.noise), -1.0)):
-        with pytest.raises(OpticsError, match="gain is not valid"):
-            job.in_numpy.prepare(job.mask.numpy(), gain=gain)
-    transfer = job.in_numpy.operator(job.mask.numpy())
-    transfer[0, 0] = np.nan
-    with pytest.raises(OpticsError, match="holds NaN or infinity"):
-        job.in_numpy.prepare_transfer(transfer)
 
 
 def test_statistics_are_the_same() -> None:

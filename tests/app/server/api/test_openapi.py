@@ -60,7 +60,7 @@ def test_examples_are_there_and_valid(found: dict[str, Any]) -> None:
         if place.startswith("GET /v1/openapi.json 2"):
             continue
         examples = {name: each["value"] for name, each in content.get("examples", {}).items()}
-        assert examples, f"{place} has no example: add one to EXAMPLES beside its model"
+        assert examples, f"{place} has no example: add one to examples() beside its model"
         if media_type == PROBLEM_MEDIA_TYPE:
             assert set(examples) == set(description.split(", "))
         validator = Draft202012Validator(

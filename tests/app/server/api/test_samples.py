@@ -27,6 +27,7 @@ from tests.unit.server.conftest import make_bundle
 from veilcam_client import Camera, models
 from veilcam_client.errors import ApiError
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.pairing import PairingLine
 from veilcam_client.wire.rotation import RotationOff
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
@@ -71,11 +72,14 @@ class Daemon:
                 (self.folder / "cookies").write_text("\t".join(row) + "\n")
             case "revoke_token":
                 names["TOKEN_ID"] = camera.tokens.create("gone", ["classify"], seconds=60).id
-            case "add_receiver" | "remove_receiver":
+            case "add_receiver" | "remove_receiver" | "claim_pairing":
                 key = ReceiverKey.generate().public
                 names["RECEIVER_KEY"] = str(key)
                 if operation == "remove_receiver":
                     names["RECEIVER_ID"] = camera.receivers.add("gone", key).id
+                if operation == "claim_pairing":
+                    line = PairingLine.parse(camera.receivers.offer().line)
+                    names["SECRET"] = line.secret.hex()
             case "activate_bundle" | "remove_bundle":
                 first = next(each for each in camera.bundles.list().bundles if each.configured)
                 camera.bundles.activate(first.digest)
@@ -99,7 +103,7 @@ class Daemon:
             case "set_faults":
                 self.camera.simulation.set_faults(models.Faults())
                 self.camera.rotation.advance()
-            case "add_receiver":
+            case "add_receiver" | "claim_pairing":
                 for each in self.camera.receivers.list().receivers:
                     self.camera.receivers.remove(each.id)
 

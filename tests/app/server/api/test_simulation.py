@@ -20,7 +20,6 @@ from veilcam_client.errors import ApiError, DeviceError, LeasedError
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.models import (
     EveryCaptures,
-    EverySeconds,
     Faults,
     LightFaults,
     PanelFaults,
@@ -218,38 +217,6 @@ async def test_sensor_that_fails_is_an_error_and_then_a_state(
         await sdk.simulation.set_faults(Faults())
         await reached(sdk, "ready")
         await sdk.capture()
-
-
-@pytest.mark.thorough
-async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_themselves(
-    given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The whole daemon but its sockets; nobody asks it for anything meanwhile."""
-    monkeypatch.setattr("veilcam_server.settings.CAPTURE_TIMEOUT", 0.05)
-    monkeypatch.setattr("veilcam_server.settings.SELF_TEST_EVERY", 1.0)
-    async with camera({**given, "rotation": EverySeconds(seconds=0.3)}) as sdk:
-        for faults, state in (
-            (Faults(panel=PanelFaults(gone=True)), "safe"),
-            (Faults(sensor=SensorFaults(gone=True)), "degraded"),
-            (Faults(panel=PanelFaults(gone=True), sensor=SensorFaults(gone=True)), "safe"),
-        ):
-            await sdk.simulation.set_faults(faults)
-            await reached(sdk, state)
-            await asyncio.sleep(1.5)  # it is tried again meanwhile, in vain
-            status = await sdk.status()
-            assert status.state == state
-            assert status.remedy is not None
-            assert status.rotation.epoch is None
-            with pytest.raises(DeviceError) as caught:
-                await sdk.capture()
-            assert caught.value.code == "not_ready"
-            await sdk.simulation.set_faults(Faults())
-            status = await reached(sdk, "ready")
-            assert status.remedy is None
-            captured = await sdk.capture()
-            # Masks change again, too.
-            while (await sdk.status()).rotation.epoch == captured.epoch:
-                await asyncio.sleep(0.02)
 
 
 @pytest.mark.slow

@@ -314,26 +314,6 @@ def test_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Setti
     service.stop()
 
 
-@pytest.mark.slow
-def test_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
-    camera = sys.modules["picamera2"].Picamera2
-
-    def none(_: int) -> None:
-        raise IndexError("list index out of range")
-
-    sys.modules["picamera2"].Picamera2 = none  # type: ignore[attr-defined]
-    service = build_service(settings)
-    status = service.status()
-    assert (status.state, status.remedy) == ("degraded", "run_doctor")
-    assert "there is no camera 0: check its cable" in str(status.detail)
-    assert not board.panel.framebuffer().any()
-    sys.modules["picamera2"].Picamera2 = camera  # type: ignore[attr-defined]
-    time.sleep(1.0)
-    service._camera.test_if_due()
-    assert service.status().state == "ready"
-    service.stop()
-
-
 def test_camera_that_is_not_there_leaves_the_panel_opaque(
     board: Board, settings: Settings, bundle: Bundle
 ) -> None:

@@ -7,9 +7,6 @@ import errno
 import gc
 import socket
 import ssl
-import subprocess
-import sys
-import textwrap
 from asyncio.sslproto import SSLProtocol
 from pathlib import Path
 
@@ -58,33 +55,6 @@ async def test_peer_with_most_loses_its_oldest_where_too_many_wait(serving: Serv
         assert behind.connections.dropped == {"evicted": 2}
 
 
-@pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
-async def test_crowd_that_dribbles_shuts_nobody_out(serving: Serving, said: bytes) -> None:
-    async with serving(limit=8) as behind:
-        for _ in range(50):
-            behind.knock(said)
-        # From the address of the crowd, and from another one.
-        for source in ("127.0.0.1", "127.0.0.2"):
-            assert await is_served(behind.knock(REQUEST, source))
-        await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
-        assert len(behind.connections) <= 8
-
-
-async def test_crowd_pushes_out_nobody_else(serving: Serving) -> None:
-    async with serving(limit=8) as behind:
-        # Slow, but honest, and older than all others.
-        slow = behind.knock(REQUEST[:-2], "127.0.0.2")
-        await behind.until(lambda: behind.connections.of["127.0.0.2"])
-        idle = behind.knock(REQUEST, "127.0.0.3")
-        assert await is_served(idle)
-        for _ in range(50):
-            behind.knock(b"GET")
-        await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
-        for one, rest in ((slow, REQUEST[-2:]), (idle, REQUEST)):
-            one.sendall(rest)
-            assert await is_served(one)
-
-
 async def test_new_connection_is_refused_where_all_is_work(serving: Serving) -> None:
     async with serving(limit=2) as behind:
         working = [behind.knock(SLOW) for _ in range(2)]
@@ -127,17 +97,6 @@ async def asks_over_tls(address: tuple[str, int]) -> bool:
     line = await reader.readline()
     writer.transport.abort()
     return line.startswith(b"HTTP/1.1 200")
-
-
-@pytest.mark.parametrize("said", [b"", b"\x16\x03\x01\x02\x00", REQUEST])
-async def test_crowd_without_tls_shuts_nobody_out(
-    serving: Serving, tls: ssl.SSLContext, said: bytes
-) -> None:
-    async with serving(limit=8, tls=tls) as behind:
-        for _ in range(30):
-            behind.knock(said)
-        await behind.until(lambda: all_are_in(behind, 30))
-        assert await asks_over_tls(behind.address)
 
 
 @pytest.mark.slow
@@ -224,51 +183,3 @@ async def test_waiting_connection_is_sent_away_when_the_gate_closes(serving: Ser
             assert await heard(one) == b""
         behind.go.set()
         assert await is_served(working)
-
-
-PROGRAM = """
-    import resource, signal, socket
-    import uvicorn
-    from veilcam_server.gate.protocol import Connections
-    from veilcam_server.gate.server import GateServer
-
-    async def app(scope, receive, send):
-        await receive()
-        await send({"type": "http.response.start", "status": 200, "headers": []})
-        await send({"type": "http.response.body", "body": b"ok"})
-
-    resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
-    listener = socket.create_server(("127.0.0.1", 0))
-    print(listener.getsockname()[1], flush=True)
-    config = uvicorn.Config(app, http="h11", ws="none", lifespan="off", log_config=None)
-    # uvicorn raises it again once all has ended.
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    # More than there are files: what was reserved is used up by somebody else.
-    connections = Connections(1000, 1000, 600, 600)
-    GateServer(config, connections).run([listener])
-    print(connections.failures, connections.dropped["evicted"], flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_process_without_files_serves() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(PROGRAM)], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        address = ("127.0.0.1", int(process.stdout.readline()))
-        crowd = [socket.create_connection(address) for _ in range(60)]
-        for one in crowd:
-            one.sendall(b"GET")
-        with socket.create_connection(address, timeout=60) as client:
-            client.sendall(b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
-            assert client.recv(100).startswith(b"HTTP/1.1 200")
-        process.terminate()
-        said = process.stdout.read()
-        for one in crowd:
-            one.close()
-    lines = said.splitlines()
-    assert sum("connection not accepted" in line for line in lines) == 1
-    failures, evicted = map(int, lines[-1].split())
-    assert failures >= 1
-    assert evicted >= 20

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import datetime
-import ipaddress
 import ssl
 from pathlib import Path
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
+from cryptography.hazmat.primitives import serialization
 from tests.app.server.test_daemon import daemon
+from tests.siege.daemon import write_certificate
 
 from veilcam_client import Camera
 from veilcam_client.errors import AccessError, ConnectError
@@ -21,44 +17,26 @@ from veilcam_server.errors import StartError
 from veilcam_server.security.tokens import TokenStore
 
 
-def write_pair(directory: Path, passphrase: bytes | None = None) -> tuple[Path, Path]:
+def write_pair(directory: Path) -> tuple[Path, Path]:
     """A self-signed certificate for 127.0.0.1, and its key."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "camera")])
-    now = datetime.datetime.now(datetime.UTC)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(1)
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .add_extension(
-            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]),
-            critical=False,
-        )
-        .sign(key, hashes.SHA256())
-    )
     directory.mkdir(exist_ok=True)
-    paths = directory / "certificate.pem", directory / "key.pem"
-    paths[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    paths[1].write_bytes(
-        key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.BestAvailableEncryption(passphrase)
-            if passphrase
-            else serialization.NoEncryption(),
-        )
-    )
-    return paths
+    paths = write_certificate(directory)
+    return paths["tls_certificate"], paths["tls_key"]
+
+
+def lock(key: Path) -> Path:
+    """Write a key once more, with a passphrase."""
+    private = serialization.load_pem_private_key(key.read_bytes(), None)
+    pem, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    encryption = serialization.BestAvailableEncryption(b"passphrase")
+    locked = key.with_name("locked.pem")
+    locked.write_bytes(private.private_bytes(pem, form, encryption))
+    return locked
 
 
 def test_certificate_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     certificate, key = write_pair(tmp_path / "a")
     _, other = write_pair(tmp_path / "b")
-    _, locked = write_pair(tmp_path / "c", b"passphrase")
     text = tmp_path / "text.pem"
     text.write_text("nothing")
     assert server_context(certificate, key).minimum_version == ssl.TLSVersion.TLSv1_2
@@ -67,7 +45,7 @@ def test_certificate_that_cannot_be_used_is_named(tmp_path: Path) -> None:
         (certificate, tmp_path / "x.pem", r"--tls-key: .*x\.pem cannot be read"),
         (certificate, other, "the key it was made for"),
         (text, key, "both as PEM"),
-        (certificate, locked, "the key has a passphrase"),
+        (certificate, lock(key), "the key has a passphrase"),
     ):
         with pytest.raises(StartError, match=reason) as caught:
             server_context(first, second)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from veilcam_client.cli import main as commands
 from veilcam_client.cli.format import bundle_in_words, event_in_words
 from veilcam_client.events import BundleChanged
-from veilcam_client.wire.bundles import EXAMPLES, InstalledBundle, example_bundle
+from veilcam_client.wire.bundles import InstalledBundle, example_bundle, examples
 
 DIGEST = "ab" * 32
 pytestmark = pytest.mark.usefixtures("url")
@@ -66,7 +66,7 @@ def test_version_and_owner_in_words() -> None:
         ({"signed_by": None, "version": 0}, "6 masks"),
     ):
         bundle = held.model_copy(update=change)
-        (installed,) = (each for each in EXAMPLES if isinstance(each, InstalledBundle))
+        (installed,) = (each for each in examples() if isinstance(each, InstalledBundle))
         told = bundle_in_words(installed.model_copy(update={"bundle": bundle}))
         assert told.endswith(words)
 

@@ -14,7 +14,7 @@ from veilcam_client.cli import calibrate as command
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.cli.main import app
 from veilcam_client.events import CalibrationChanged
-from veilcam_client.wire.calibration import EXAMPLES
+from veilcam_client.wire.calibration import examples
 from veilcam_client.wire.events import EVENT
 
 runner = CliRunner()
@@ -22,7 +22,7 @@ WAITING = {**MEASURING, "stage": "waiting", "scene": "lamp", "instruction": "Put
 DONE = {**MEASURING, "stage": "done", "scene": None, "exposures": 330}
 FAILED = {**DONE, "stage": "failed", "detail": "too little light: light it"}
 QUANTITY = {"value": 0.00003, "uncertainty": 0.000001, "residual": 0.01}
-SIGNED = next(each.signed for each in EXAMPLES if hasattr(each, "signed")).model_dump(mode="json")
+SIGNED = next(each.signed for each in examples() if hasattr(each, "signed")).model_dump(mode="json")
 SIGNED["record"].update(dead_rows=[20], drift=-0.001, shift_y_m=QUANTITY)
 
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from veilcam_client import __version__
 from veilcam_client.cli.main import app
-from veilcam_client.cli.picture import in_blocks
 from veilcam_client.cli.terminal import EXIT_CODES, FORGED, USAGE
+from veilcam_client.numbers import in_blocks
 
 runner = CliRunner()
 PAGE = Path(__file__).resolve().parents[4] / "docs" / "cli.md"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from tests.unit.client.certificates import Certificate, listening
+from tests.unit.client.certificates import Certificate
 from tests.unit.client.conftest import DEVICE, EXAMPLES, Daemon, handler_of, problem, serving
 from typer.testing import CliRunner
 
@@ -93,15 +93,6 @@ def test_line_of_tls_is_claimed_of_the_one_with_its_certificate(
         assert runner.invoke(app, ["status"]).exit_code == 0
     assert profile_of().certificate == shown.digest
     assert daemon.requests[-1].headers["authorization"] == f"Bearer {PAIRED['token']}"
-
-
-def test_other_certificate_is_told_nothing(settings: Path, tmp_path: Path) -> None:
-    with listening(Certificate.made().context(tmp_path)) as (place, told):
-        refused = runner.invoke(app, ["pair", line_of(f"https://{place}", Certificate.made())])
-    assert refused.exit_code == 3
-    assert "its certificate is not the one that it was paired with" in refused.stderr
-    assert told == [b""]
-    assert not settings.exists()
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
-from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
 from veilcam_client.cli.main import app
@@ -34,21 +32,6 @@ def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("VEILCAM_URL", "http://127.0.0.1:1")
     monkeypatch.setenv("VEILCAM_TOKEN", "vc_elsewhere")
     return folder
-
-
-@pytest.mark.usefixtures("elsewhere")
-@pytest.mark.parametrize(
-    ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
-)
-def test_profile_counts_as_a_whole(
-    daemon: Daemon, options: list[str], variables: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("VEILCAM_TOKEN")
-    before = dict(os.environ)
-    result = runner.invoke(app, ["status", *options], env=variables)
-    assert result.exit_code == 0, result.output
-    assert os.environ == before
-    assert len(daemon.requests) == 1
 
 
 def test_camera_is_told_its_own_token(

@@ -472,18 +472,6 @@ async def test_base_with_its_version_is_understood(both: Both) -> None:
     ]
 
 
-async def test_address_stands_in_the_environment(
-    both: Both, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("VEILCAM_URL", "http://elsewhere:7")
-    await both(lambda camera: camera.status(), url=None)
-    await both(lambda camera: camera.status(), url="http://here:8")
-    monkeypatch.setenv("VEILCAM_URL", "")
-    await both(lambda camera: camera.status(), url=None)
-    hosts = [request.url.host for request in both.daemon.requests]
-    assert hosts == ["elsewhere", "here", "127.0.0.1"]
-
-
 async def test_repetitions_are_logged_and_secrets_are_not(
     both: Both, caplog: pytest.LogCaptureFixture
 ) -> None:

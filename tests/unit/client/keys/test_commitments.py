@@ -72,7 +72,7 @@ def test_answer_is_hidden_by_an_id_that_stands_nowhere() -> None:
 
 
 def test_calibration_is_named_by_all_that_it_says() -> None:
-    [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
+    [signed] = [each.signed for each in calibration.examples() if hasattr(each, "signed")]
     assert signed is not None
     again = signed.model_validate_json(signed.model_dump_json())
     other = signed.model_copy(update={"signature": "0" * 128})

@@ -13,8 +13,10 @@ from tests.unit.client.conftest import STATUS
 from veilcam_client import events, models
 from veilcam_client.wire.captures import ClassificationRequest
 from veilcam_client.wire.events import EVENT, EVENT_KINDS, Gap
+from veilcam_client.wire.pairing import Paired, PairingClaim
 from veilcam_client.wire.rotation import POLICY, EveryCaptures, EverySeconds, RotationOff
 from veilcam_client.wire.status import Status
+from veilcam_client.wire.tokens import NewToken
 
 
 def test_answers_of_a_newer_server_can_be_read() -> None:
@@ -44,6 +46,14 @@ def test_policies_survive_the_wire() -> None:
 def test_impossible_question_is_refused(kind: type[BaseModel], given: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         kind.model_validate(given)
+
+
+@pytest.mark.parametrize("kind", [PairingClaim, Paired, NewToken])
+def test_traceback_of_what_cannot_be_read_repeats_no_secret(kind: type[BaseModel]) -> None:
+    for given in ({"secret": "s3cret"}, {"token": 1, "secret": ["s3cret"]}):
+        with pytest.raises(ValidationError) as refused:
+            kind.model_validate(given)
+        assert "s3cret" not in str(refused.value)
 
 
 def test_models_do_not_change() -> None:

@@ -115,19 +115,6 @@ def test_is_the_textbook_estimate(shape: tuple[int, int], *, colour: bool) -> No
     assert float(share) == pytest.approx(float(left), abs=1e-7)
 
 
-def test_colour_tells_of_another_colour() -> None:
-    """R and B through G alone: what makes one decoder of three colours more than three of one."""
-    decoding = make(Embedding(12, 16), statistics=COLOURED)
-    transfer = decoding.operator(mask().double())
-    transfer[[0, 2]] = 0
-    scenes = coloured(50, 1).double()
-    seen = torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
-    errors = (decoding.prepare_transfer(transfer)(seen) - scenes).square().mean((0, 2, 3))
-    unread = scenes.var(0).mean((1, 2))
-    assert bool((errors < 0.7 * unread).all())
-    assert float(errors[1]) < float(errors[[0, 2]].min())
-
-
 @pytest.mark.parametrize("rank", [8, PIXELS])
 def test_innovation_is_the_textbook_s_and_1_where_all_is_as_expected(rank: int) -> None:
     decoding = make(Embedding(6, 8), statistics=STATISTICS.truncate(rank))
@@ -233,15 +220,6 @@ def test_response_that_is_not_finite_is_refused() -> None:
     transfer[5, 2] = math.nan
     with pytest.raises(OpticsError, match="holds NaN or infinity"):
         decoding.prepare_transfer(transfer)
-
-
-def test_types_of_each_precision() -> None:
-    types = {p.name: (p.products, p.factors) for p in Precision}
-    assert types == {
-        "SINGLE": ("float32", "float32"),
-        "MIXED": ("float32", "float64"),
-        "DOUBLE": ("float64", "float64"),
-    }
 
 
 @pytest.mark.slow

@@ -1,10 +1,9 @@
-"""The grid path against brute force, and the invariances it must have."""
+"""The grid path against the transfer operator, and the invariances it must have."""
 
 from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 import pytest
 import torch
 from tests.unit.optics.tensors import mask, relative, seeded
@@ -13,6 +12,9 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.kernels import Approximation
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 
 CAMERA = Camera(
     panel=Panel(
@@ -30,64 +32,21 @@ def some_scenes(*shape: int) -> Tensor:
     return torch.rand(shape, generator=seeded(1), dtype=torch.float64)
 
 
-def brute_force(
-    camera: Camera, scene: Scene, embedding: Embedding, weights: Tensor, picture: Tensor
-) -> np.ndarray:
-    """Fresnel integrals by dense quadrature, irradiance and both boxes by midpoint sums."""
-    side, fine = scene.pixel_at_sensor(camera), 1.0e-6
-
-    def fields(centres: tuple[float, ...], width: float, at: np.ndarray, wl: float) -> np.ndarray:
-        inside = (np.arange(200) + 0.5) / 200 * width - width / 2
-        source = np.array(centres)[:, None] + inside
-        phase = np.pi / wl * source**2 / scene.distance
-        distances = (at[:, None, None] - source) ** 2
-        kernel = np.exp(1j * (phase + np.pi / wl * distances / camera.distance))
-        kernel_sum: np.ndarray = kernel.sum(-1) * (width / 200) / np.sqrt(wl * camera.distance)
-        return kernel_sum
-
-    def weights_of(count: int, extent: float, scene_count: int, at: np.ndarray) -> np.ndarray:
-        """(embedding pixels, scene pixels, points): both boxes, convolved, at every point."""
-        out = np.zeros((count, scene_count, at.size))
-        pixel = extent / count
-        for o in range(count):
-            for j in range(scene_count):
-                image = -(j - (scene_count - 1) / 2) * side
-                offset = np.abs((o - (count - 1) / 2) * pixel - image - at)
-                overlap = np.clip((pixel + side) / 2 - offset, 0, min(pixel, side))
-                out[o, j] = overlap / pixel / (side * scene_count) * fine
-        return out
-
-    reach_y = (camera.sensor.height + scene.rows * side) / 2
-    reach_x = (camera.sensor.width + scene.columns * side) / 2
-    y, x = np.arange(-reach_y, reach_y, fine), np.arange(-reach_x, reach_x, fine)
-    box_y = weights_of(embedding.rows, camera.sensor.height, scene.rows, y)
-    box_x = weights_of(embedding.columns, camera.sensor.width, scene.columns, x)
-    total = np.zeros(embedding.shape)
-    for channel, wl in enumerate(camera.wavelengths):
-        passed = np.array(camera.row_amplitudes(channel))[:, None] * weights.numpy()
-        rows = fields(camera.row_centres, camera.panel.aperture_y, y, wl)
-        columns = fields(camera.column_centres, camera.panel.aperture_x, x, wl)
-        irradiance = np.abs(rows @ passed @ columns.T) ** 2
-        transfer = np.einsum("ojn,nm,pkm->jkop", box_y, irradiance, box_x, optimize=True)
-        share = camera.sensor.channel_weights[channel]
-        total += share * np.einsum("jk,jkop->op", picture.numpy(), transfer)
-    return total
-
-
-@pytest.fixture(scope="module")
-def reference() -> np.ndarray:
-    return brute_force(CAMERA, SCENE, EMBEDDING, mask(CAMERA), some_scenes(*SCENE.shape))
-
-
-def error_at(oversampling: float, reference: np.ndarray) -> float:
-    light = GridLight(CAMERA, SCENE, oversampling)
-    got = light.embed(some_scenes(*SCENE.shape), light.psf(mask(CAMERA)), EMBEDDING)
-    return relative(got, reference)
-
-
 @pytest.mark.slow
-def test_converges_to_brute_force(reference: np.ndarray) -> None:
-    errors = [error_at(oversampling, reference) for oversampling in (1, 2, 4, 8, 16)]
+def test_converges_to_the_transfer_operator() -> None:
+    """All pairs counted, which test_reference.py compares with the whole field."""
+    operator = TransferOperator(
+        *(CAMERA, SCENE, EMBEDDING),
+        reach=Reach(7, 4),
+        step=0.5e-6,
+        dtype=torch.float64,
+        approximation=Approximation(axial=True),
+    )
+    scene, weights, errors = some_scenes(*SCENE.shape), mask(CAMERA), []
+    wanted = operator.embed(scene[None], weights)[0]
+    for oversampling in (1, 2, 4, 8, 16):
+        light = GridLight(CAMERA, SCENE, oversampling)
+        errors.append(relative(light.embed(scene, light.psf(weights), EMBEDDING), wanted))
     assert errors == sorted(errors, reverse=True)
     assert errors[0] < 0.03
     assert errors[-1] < 0.007
@@ -134,28 +93,6 @@ def test_scene_shift_moves_the_image_the_other_way() -> None:
     dots[1, 33, 35] = 1
     first, second = light.embed(dots, psf, embedding)
     assert relative(second[:-3, 5:], first[3:, :-5]) < 1e-10
-
-
-@pytest.mark.parametrize("rows", [320, 321, 333])
-@pytest.mark.parametrize("columns", [402, 411])
-def test_symmetric_camera_gives_symmetric_embedding(rows: int, columns: int) -> None:
-    """A shift of one sample at odd or even sizes would break the mirror symmetry."""
-    camera = dataclasses.replace(
-        CAMERA,
-        panel=dataclasses.replace(CAMERA.panel, filter_cycle=()),
-        sensor=Sensor(rows, columns),
-    )
-    light = GridLight(camera, SCENE, 1.3)
-    weights = mask(camera)
-    weights = weights + weights.flip(0)
-    weights = (weights + weights.flip(1)) / 4
-    psf = light.psf(weights)
-    assert relative(psf.flip(1), psf) < 1e-12
-    assert relative(psf.flip(2), psf) < 1e-12
-    white = torch.ones(SCENE.shape, dtype=torch.float64)
-    embedded = light.embed(white, psf, EMBEDDING)
-    assert relative(embedded.flip(0), embedded) < 1e-12
-    assert relative(embedded.flip(1), embedded) < 1e-12
 
 
 def test_batch_equals_loop_and_colour_sums_to_gray() -> None:

@@ -16,8 +16,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.transfer.factored import aperture_fields
-from veilcam_optics.transfer.kernels import Approximation, box_kernel
+from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Beam, Reach, Variables
@@ -34,59 +33,6 @@ def made(
 ) -> TransferOperator:
     options.setdefault("approximation", AXIAL)
     return TransferOperator(camera, SCENE, embedding, dtype=torch.float64, **options)
-
-
-def test_box_kernel_equals_a_dense_integral() -> None:
-    start, step, pixel, image = -2e-3, 1e-6, 196e-6, 43e-6
-    nodes = start + step * torch.arange(4001, dtype=torch.float64)
-    products = torch.stack([torch.cos(nodes * 2e4), torch.exp(-((nodes / 4e-4) ** 2))], dim=1)
-    offsets = torch.linspace(-1.5e-3, 1.5e-3, 37, dtype=torch.float64)
-    distance = (offsets[:, None] - nodes).abs()
-    kappa = ((pixel + image) / 2 - distance).clamp(0, min(pixel, image))
-    dense = kappa @ products * step
-    ours = box_kernel(offsets, products, start, step, pixel=pixel, image=image)
-    assert relative(ours, dense) < 1e-4
-
-
-def test_every_pair_within_reach_counts() -> None:
-    """With all pairs kept, T is the box integral of the full intensity |F w G^T|^2."""
-    weights = mask(SMALL)
-    operator = made(reach=Reach(6, 3), step=0.5e-6, colour=True)
-    transfers = operator(weights)
-    nodes_y = torch.arange(-500e-6, 500e-6, 1e-6, dtype=torch.float64)
-    nodes_x = torch.arange(-700e-6, 700e-6, 1e-6, dtype=torch.float64)
-    image = SCENE.pixel_at_sensor(SMALL)
-
-    def boxes(nodes: Tensor, pixels: int, length: float, scene_pixels: int) -> Tensor:
-        pixel = length / pixels
-        o = (torch.arange(pixels) - (pixels - 1) / 2)[:, None] * pixel
-        q = -(torch.arange(scene_pixels) - (scene_pixels - 1) / 2) * image
-        offset = (o - q)[:, :, None] - nodes
-        kappa = ((pixel + image) / 2 - offset.abs()).clamp(0, min(pixel, image))
-        return kappa * 1e-6 / (pixel * scene_pixels * image)
-
-    for channel in range(3):
-        fields = [
-            aperture_fields(
-                nodes,
-                torch.tensor(centres, dtype=torch.float64),
-                width,
-                wavelength=SMALL.wavelengths[channel],
-                source_distance=SCENE.distance,
-                distance=SMALL.distance,
-            )
-            for nodes, centres, width in (
-                (nodes_y, SMALL.row_centres, SMALL.panel.aperture_y),
-                (nodes_x, SMALL.column_centres, SMALL.panel.aperture_x),
-            )
-        ]
-        open_rows = torch.tensor(SMALL.row_amplitudes(channel), dtype=torch.float64)
-        field = fields[0] @ (open_rows[:, None] * weights).to(torch.complex128) @ fields[1].T
-        psf = field.abs().square()
-        box_y = boxes(nodes_y, EMBEDDING.rows, SMALL.sensor.height, SCENE.rows)
-        box_x = boxes(nodes_x, EMBEDDING.columns, SMALL.sensor.width, SCENE.columns)
-        reference = torch.einsum("ajy,yx,bkx->jkab", box_y, psf, box_x).reshape(12, 20)
-        assert relative(transfers[channel], reference) < 1e-3
 
 
 @pytest.mark.slow
@@ -163,26 +109,6 @@ def test_scene_is_seen_inverted() -> None:
     assert int(values.sum(1).argmax()) > 12
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (3, 4)])
-def test_odd_even_and_single_pixels(shape: tuple[int, int]) -> None:
-    weights = mask(SMALL)
-    whole = made(SMALL, Embedding(1, 1))(weights)
-    cut = made(SMALL, Embedding(*shape))(weights)
-    assert relative(cut.mean(1, keepdim=True), whole) < 2e-3
-
-
-def test_colours_sum_to_gray_and_filters_part_them() -> None:
-    weights = mask(SMALL)
-    colour = made(colour=True)(weights)
-    gray = made()(weights)
-    shares = torch.tensor(SMALL.sensor.channel_weights, dtype=torch.float64)
-    assert relative(torch.einsum("c,cpe->pe", shares, colour), gray) < 1e-12
-    red_rows_closed = weights.clone()
-    red_rows_closed[torch.tensor(SMALL.row_amplitudes(0)) == 1] = 0
-    dark = made(colour=True)
-    assert float(dark(red_rows_closed)[0].abs().max()) == 0
-
-
 @pytest.mark.parametrize("colour", [False, True])
 def test_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     camera, scene = Camera(), Scene(7, 9)
@@ -197,13 +123,6 @@ def test_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     for bad in (Region(-1, 0, 2, 2), Region(0, 8, 2, 2), Region(6, 0, 2, 2), Region(0, 0, 0, 2)):
         with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
             operator(weights, bad)
-
-
-def test_leakage_brings_light_through_foreign_rows() -> None:
-    weights = mask(SMALL)
-    ideal = made()(weights)
-    real = made(LEAKY)(weights)
-    assert relative(real, ideal) > 1e-2
 
 
 @pytest.mark.parametrize("colour", [False, True])

@@ -17,7 +17,6 @@ from veilcam_optics.transfer import product
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Measurement, Transfer
-from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Reach
 
 # Seven rows: three of one colour and two of each other, so that stacks are of several shapes.
@@ -38,20 +37,6 @@ def make(*, colour: bool = False) -> TransferOperator:
     )
 
 
-@pytest.mark.parametrize("region", [None, Region(1, 0, 2, 3)])
-@pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_masks_together_are_masks_one_by_one(
-    count: int, colour: bool, region: Region | None
-) -> None:
-    operator, masks = make(colour=colour), masks_of(CAMERA, count)
-    together = operator(masks, region)
-    pixels = 12 if region is None else 6
-    assert together.shape == (count, *((3,) if colour else ()), pixels, 20)
-    for mask, transfer in zip(masks, together, strict=True):
-        assert_same(transfer, operator(mask, region))
-
-
 @pytest.mark.parametrize("columns", [1, 2, 4, 6])
 @pytest.mark.parametrize("numpy", [False, True])
 def test_masks_together_whatever_the_width(columns: int, numpy: bool) -> None:
@@ -68,15 +53,6 @@ def test_masks_together_whatever_the_width(columns: int, numpy: bool) -> None:
     else:
         assert_same(operator(masks), singles)
         assert_same(operator(masks.requires_grad_()).detach(), singles)
-
-
-def test_masks_of_single_precision_together() -> None:
-    """The default job's type: a sum of n terms is off by n units at most."""
-    operator, masks = make().float(), masks_of(CAMERA, 5).float()
-    singles = torch.stack([operator(mask) for mask in masks])
-    # Fewer than 100 terms of up to 1e-1, the largest entry.
-    assert float(singles.max()) < 0.1
-    torch.testing.assert_close(operator(masks), singles, rtol=0, atol=0.1 * 100 * 6e-8)
 
 
 def test_more_masks_than_one_product_takes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,13 +88,6 @@ def test_gradient_of_masks_together(colour: bool) -> None:
 def test_masks_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(OpticsError, match=r"weights\.shape = .*the window, \(7, 3\)"):
         make()(torch.ones(shape))
-
-
-def test_one_mask_of_many_that_is_not_finite_is_refused() -> None:
-    masks = masks_of(CAMERA, 3)
-    masks[1, 2, 0] = torch.nan
-    with pytest.raises(OpticsError, match="NaN"):
-        make()(masks)
 
 
 @pytest.mark.parametrize(

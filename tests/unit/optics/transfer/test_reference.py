@@ -10,7 +10,6 @@ from benchmarks.accuracy.reference import reference_psf, reference_transfer
 from tests.unit.optics.tensors import mask, relative
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.binning import TransferBinning
 from veilcam_optics.transfer.kernels import Approximation
@@ -94,13 +93,3 @@ def test_transfer_from_a_finely_sampled_psf() -> None:
     transfer = TransferBinning(SMALL, SCENE, EMBEDDING, shape=grid.shape, pitch=pitch)(psf)
     truth = reference_transfer(SMALL, SCENE, EMBEDDING, weights, oversampling=24, colour=True)
     assert relative(transfer, truth) < 3e-3
-
-
-def test_bad_input_is_named() -> None:
-    weights = mask(SMALL)
-    with pytest.raises(OpticsError, match="oversampling = 0"):
-        reference_transfer(SMALL, SCENE, EMBEDDING, weights, oversampling=0)
-    with pytest.raises(OpticsError, match="window"):
-        reference_transfer(SMALL, SCENE, EMBEDDING, weights[1:])
-    with pytest.raises(OpticsError, match="oversampling = 0"):
-        reference_psf(SMALL, SCENE, weights, Grid.square(4, 4, 1e-5), oversampling=0)

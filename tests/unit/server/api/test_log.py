@@ -7,7 +7,6 @@ import os
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.unit.server.api.conftest import bearer
 
 from veilcam_client import AsyncCamera
 from veilcam_client.errors import ApiError
@@ -18,8 +17,6 @@ from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
 from veilcam_client.wire.log import LogRecord
-from veilcam_server.security.admission import Admission
-from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
     import httpx
@@ -134,13 +131,6 @@ async def test_question_that_cannot_be_asked_is_refused(running: Running, asked:
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
 
 
-async def test_log_wants_a_scope_of_its_own(running: Running, store: TokenStore) -> None:
-    reader, other = bearer(store, "read:log"), bearer(store, "read:status")
-    async with running(admission=Admission(tokens=store)) as client:
-        assert (await client.get("/v1/log", headers=reader)).status_code == 200
-        assert (await client.get("/v1/log", headers=other)).status_code == 403
-
-
 async def test_full_disk_stops_no_answer(
     running: Running, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,30 +151,3 @@ async def test_full_disk_stops_no_answer(
         await camera.classify()
         kinds = [each.kind for each in (await camera.log.list()).records]
         assert kinds == ["start", "gap", "capture"]
-
-
-async def test_record_that_cannot_be_flushed_is_not_shown(
-    running: Running, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(_: int) -> None:
-        raise OSError(errno.EIO, "Input/output error")
-
-    async with running() as client:
-        monkeypatch.setattr(os, "fsync", refuse)
-        answer = await client.get("/v1/log")
-    assert (answer.status_code, answer.json()["code"]) == (503, "storage_failed")
-
-
-async def test_damaged_log_is_a_fault_and_the_daemon_goes_on(
-    running: Running, bench: Bench
-) -> None:
-    async with running() as client:
-        await sdk(client).classify()
-    [path] = (bench.state_dir / "log").iterdir()
-    path.write_bytes(path.read_bytes()[:-10])
-    async with running() as client:
-        camera = sdk(client)
-        await camera.classify()
-        assert [fault.code for fault in (await camera.diagnostics()).faults] == ["state_lost"]
-        said = [each.kind for each in (await camera.log.list()).records]
-    assert said == ["start", "capture", "damage", "start", "capture"]

@@ -18,13 +18,13 @@ from tests.unit.server.security.conftest import Clock
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.pairing import OFFER_SECONDS, PairingLine, PairingOffer
 from veilcam_client.wire.tokens import ROLES
-from veilcam_server.errors import StorageError
 from veilcam_server.sealing.receivers import Pairing
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.limits import RateLimit
 from veilcam_server.security.pairing import PairingOffers
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
+from veilcam_server.system.state_file import StateStore
 
 if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench, Running
@@ -168,7 +168,7 @@ async def test_offer_ends_with_the_daemon(running: Running, door: Door) -> None:
 async def test_two_claims_at_once_pair_one(
     running: Running, door: Door, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    both, pair = threading.Barrier(2), Pairing.add_now
+    both, pair = threading.Barrier(2), Pairing.pair
     claimed = PairingOffers.claimed
 
     def together(*given: Any) -> Any:
@@ -181,7 +181,7 @@ async def test_two_claims_at_once_pair_one(
         return made
 
     monkeypatch.setattr(PairingOffers, "claimed", together)
-    monkeypatch.setattr(Pairing, "add_now", slowly)
+    monkeypatch.setattr(Pairing, "pair", slowly)
     async with running(admission=door.admission()) as client:
         secret = await door.offer(client)
         answers: list[int] = []
@@ -206,11 +206,15 @@ async def test_offer_stays_open_where_its_claim_cannot_be_done(
         secret = await door.offer(client)
         assert code(await claim(client, secret, key)) == (409, "conflict")
         with monkeypatch.context() as patch:
+            room, write = iter(["receivers.json.lock"]), StateStore[Any]._write_beside
 
-            def full(*_: object, **__: object) -> None:
-                raise StorageError("no space")
+            def full(store: StateStore[Any], content: bytes) -> None:
+                # There is room for one more record, and none to take it back.
+                if store._lock.name != next(room, None):
+                    raise OSError(28, "No space left on device")
+                write(store, content)
 
-            patch.setattr(door.store, "create", full)
+            patch.setattr(StateStore, "_write_beside", full)
             assert code(await claim(client, secret)) == (503, "storage_failed")
         assert door.bench.receivers.keys == (key.public,)
         assert (await claim(client, secret)).status_code == 201
@@ -222,7 +226,9 @@ async def test_offer_gives_no_more_than_its_maker_has(running: Running, door: Do
     admin = bearer(door.store, "admin:receivers", "read:status", "classify")
     short = door.store.create("short", ROLES["owner"], 600.0)
     async with running(admission=door.admission()) as client:
-        for who, role in ((operator, "viewer"), (admin, "operator"), (admin, "owner")):
+        # Who makes no tokens makes none by pairing, either.
+        asked = ((operator, "viewer"), (admin, "viewer"), (admin, "operator"), (admin, "owner"))
+        for who, role in asked:
             refused = await client.post(OFFER, json={"role": role}, headers=who)
             assert code(refused) == (403, "forbidden")
         assert "ask for one of the role owner" in refused.json()["detail"]

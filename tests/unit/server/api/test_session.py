@@ -124,16 +124,6 @@ async def test_session_makes_no_session_and_ends_when_it_is_told_to(
         assert (await client.get("/v1/status", headers=stolen)).status_code == 401
 
 
-async def test_revoked_token_ends_the_page_too(running: Running, admission: Admission) -> None:
-    assert admission.tokens is not None
-    async with running(admission=admission) as client:
-        begun = await log_in(client, bearer(admission))
-        page = {HEADER: begun.half}
-        (token,) = admission.tokens.tokens()
-        admission.tokens.revoke(token.id)
-        assert (await client.get("/v1/status", headers=page)).status_code == 401
-
-
 async def test_page_makes_tokens_that_outlast_its_session(
     running: Running, admission: Admission
 ) -> None:

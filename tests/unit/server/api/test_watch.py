@@ -83,15 +83,6 @@ async def test_off_is_opaque_for_everybody(running: Running, bench: Bench) -> No
         assert not (await camera.diagnostics()).faults
 
 
-async def test_quiet_hours_hold_from_the_answer_on(running: Running, bench: Bench) -> None:
-    async with running() as client:
-        camera = sdk(client)
-        found = await camera.watch.set(OnRequest(quiet=ALWAYS))
-        assert found.activity == "quiet"
-        assert not bench.display.shown[-1].any()
-        assert await code(camera.classify()) == "not_looking"
-
-
 async def test_watch_looks_by_itself_and_releases_a_label_alone(
     running: Running, bench: Bench
 ) -> None:

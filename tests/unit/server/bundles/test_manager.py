@@ -17,7 +17,7 @@ from tests.unit.server.damage import DAMAGES
 from veilcam_client.wire.base import Problem
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
-from veilcam_client.wire.events import BundleChanged, Event, Fault
+from veilcam_client.wire.events import Event, Fault
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
@@ -166,17 +166,6 @@ async def test_mask_and_classifier_change_together_and_back(
         assert await active(client) == first
         result = await label(client)
         assert result.label == expected(bundle, bench)
-
-
-async def test_change_is_an_event(bench: Bench, data: bytes) -> None:
-    service = bench.service(bench.camera())
-    async with service.open():
-        installed = await service.bundles.install(chunks(data[:1000], data[1000:]))
-        start = f"{service._events.log._boot}-0"
-        await service.activate_bundle(installed.digest)
-        heard = [event async for event in _until_quiet(service.events(start))]
-    (change,) = [event for event in heard if isinstance(event, BundleChanged)]
-    assert (change.digest, change.task) == (installed.digest, "other")
 
 
 @pytest.mark.parametrize("faults", [1, 3])
@@ -470,20 +459,6 @@ def test_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> No
     assert len(faults) == 2
 
 
-@pytest.mark.parametrize("name", ["in-use.json", "in-use.json.copy"])
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_record_is_put_right_from_its_copy(
-    restarts: Restarts, damage: Callable[[Path], None], name: str
-) -> None:
-    restarts.use(1, before=0)
-    restarts.use(2, before=1)
-    damage(restarts.directory / "bundles" / name)
-    task, (fault,) = restarts.start()
-    assert (task, restarts.faults[0].code) == ("task 2", "state_damaged")
-    assert name in fault
-    assert restarts.start() == ("task 2", [])
-
-
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_lost_record_rolls_nothing_back_in_silence(
     restarts: Restarts, damage: Callable[[Path], None]
@@ -497,17 +472,6 @@ def test_lost_record_rolls_nothing_back_in_silence(
         assert "the bundle that the daemon was started with is in use; activate" in fault
     restarts.use(1, before=0)
     assert restarts.start() == ("task 1", [])
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_bundle_that_is_damaged_is_never_used_and_that_is_told(
-    restarts: Restarts, damage: Callable[[Path], None]
-) -> None:
-    restarts.use(1, before=0)
-    damage(restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam")
-    task, (fault,) = restarts.start()
-    assert (task, restarts.faults[0].code) == ("task 0", "bundle_refused")
-    assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
 def test_remains_of_a_killed_upload_are_removed(restarts: Restarts) -> None:

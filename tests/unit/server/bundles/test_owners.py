@@ -21,7 +21,8 @@ from veilcam_client.wire.bundles import (
     InstalledBundles,
 )
 from veilcam_client.wire.events import BundleChanged, Event
-from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good, note_start
+from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good
+from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners, Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
@@ -163,7 +164,10 @@ async def test_without_owners_an_older_one_is_asked_for_and_said(bench: Bench, m
         await service.activate_bundle(old, allow_older=True)
         await service.activate_bundle(new)
     changes = [event for event in heard if isinstance(event, BundleChanged)]
-    assert [(each.version, each.older) for each in changes] == [(4, False), (3, True), (4, False)]
+    assert [(each.digest, each.version, each.older) for each in changes] == [
+        *((new, 4, False), (old, 3, True), (new, 4, False))
+    ]
+    assert {each.task for each in changes} == {"mnist"}
 
 
 async def test_key_to_repeat_with_is_of_one_answer_to_older(running: Running, make: Make) -> None:
@@ -197,7 +201,7 @@ class Starts:
         opener = Opener(bundle, load_pairs, self.owners)
         faults: list[ProblemError] = []
         keys = last_good(store, opener, bundle, faults.append, allow_older=allow_older)
-        note_start(store, opener, keys, faults.append)
+        BundleManager(store, opener, keys).note_start(faults.append)
         return keys.info.version, [str(fault) for fault in faults]
 
     def activate(self, configured: Path, path: Path) -> Path:

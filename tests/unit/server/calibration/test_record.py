@@ -132,15 +132,6 @@ def test_record_alone_is_read_where_it_lies(tmp_path: Path, key: DeviceKey) -> N
     assert [path.name for path in alone.iterdir()] == ["given.json"]
 
 
-def test_later_record_is_the_one_that_counts(tmp_path: Path, key: DeviceKey) -> None:
-    path = tmp_path / RECORD_NAME
-    written(path, make_record(), key)
-    before = path.read_bytes()
-    later = written(path, make_record(taken_at=datetime(2026, 1, 2, 3, 4, 6, tzinfo=UTC)), key)
-    path.write_bytes(before)
-    assert calibration_store(path).read() == later
-
-
 def test_unwritable_place_is_said(tmp_path: Path, key: DeviceKey) -> None:
     with pytest.raises(StorageError, match="cannot be written"):
         written(tmp_path / "missing" / RECORD_NAME, make_record(), key)

@@ -19,7 +19,6 @@ from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import (
     FenceError,
     NotReadyError,
-    RotationImpossibleError,
 )
 from veilcam_server.masks.pairs import PairReader
 
@@ -40,7 +39,7 @@ def test_capture_names_what_vouches_for_it(bench: Bench, camera: MaskedCamera) -
     assert first.mask == again.mask
     assert 0 < first.tested < again.tested
     assert first.calibration is None
-    [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
+    [signed] = [each.signed for each in calibration.examples() if hasattr(each, "signed")]
     assert signed is not None
     with camera.exclusive():
         camera.adopt(signed, 0.0, bench.source)
@@ -96,15 +95,6 @@ def test_jitter_shortens_every_showing_by_its_own_time(bench: Bench) -> None:
     assert max(times) - min(times) > 1
     camera.policy = EverySeconds(seconds=1000.0)
     assert camera.due_in() > 990
-
-
-def test_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
-    camera = bench.camera(settle=0.01)
-    bench.sensor.early = 1e-4
-    with pytest.raises(FenceError, match="thrown away"):
-        camera.capture(release=False)
-    bench.sensor.early = 0.0
-    assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
 def test_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
@@ -182,15 +172,6 @@ def test_panel_that_fails_again_is_made_opaque_or_told_and_captures_stop(
     assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
-def test_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(bench: Bench) -> None:
-    camera = bench.camera()
-    index = bench.pair_shown()
-    bench.display.faults = [ZeroDivisionError()]
-    with pytest.raises(ZeroDivisionError):
-        camera.rotate()
-    assert bench.pair_shown() == index
-
-
 def test_mask_that_is_due_but_fails_is_not_used_once_more(
     bench: Bench, display_fault: DisplayError
 ) -> None:
@@ -209,15 +190,6 @@ def test_sensor_that_fails_leaves_the_mask_usable(bench: Bench, camera: MaskedCa
         camera.capture(release=False)
     bench.sensor.fault = None
     assert camera.capture(release=False).epoch == bench.epochs[0]
-
-
-def test_one_pair_cannot_rotate(lone_bench: Bench, display_fault: DisplayError) -> None:
-    camera = lone_bench.camera()
-    with pytest.raises(RotationImpossibleError, match="two or more"):
-        camera.rotate()
-    with pytest.raises(RotationImpossibleError):
-        camera.policy = EveryCaptures(captures=1)
-    assert camera.capture(release=False).epoch == lone_bench.epochs[0]
 
 
 def test_stopping_shows_opaque_and_ends_captures(bench: Bench, camera: MaskedCamera) -> None:

@@ -283,18 +283,6 @@ def test_capture_in_flight_is_read_by_its_own_reader_and_then_its_mask_goes(
     camera.stop()
 
 
-def test_two_captures_behind_one_mask_both_have_it(either: Bench, shown: list[Epoch]) -> None:
-    camera = either.camera()
-    first, second = (camera.capture(release=False) for _ in range(2))
-    camera.stop()
-    first.done()
-    first.done()
-    assert is_whole(shown[0])
-    second.classify()
-    second.done()
-    assert is_gone(shown[0])
-
-
 def test_exposure_that_fails_lets_go_of_its_mask(either: Bench, shown: list[Epoch]) -> None:
     camera = either.camera()
 
@@ -578,14 +566,6 @@ def test_reuse_does_not_stretch_a_budget(
     waiting.join(200)
     assert taken
     assert taken[0] not in first
-    camera.stop()
-
-
-def test_sealed_embeddings_leave_as_often_as_one_likes(sealed_bench: Bench) -> None:
-    camera = sealed_bench.camera()
-    epochs = {camera.capture(release=True).epoch for _ in range(20)}
-    assert epochs == {sealed_bench.epochs[0]}
-    assert not (sealed_bench.state_dir / "released.json").exists()
     camera.stop()
 
 

@@ -180,10 +180,11 @@ def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
         (FenceError("too early"), ("degraded", "too early", "wait")),
         # What nobody foresaw may quote anything, so it is not told.
         (ZeroDivisionError("level 37"), ("safe", "the self test broke off", "report_defect")),
+        (KeyboardInterrupt(), ("safe", "the self test broke off", "report_defect")),
     ],
 )
 def test_test_that_fails_ends_opaque_and_says_who_is_to_blame(
-    rig: Rig, fault: Exception, state: tuple[str, str, str]
+    rig: Rig, fault: BaseException, state: tuple[str, str, str]
 ) -> None:
     rig.show()
     rig.clock.sleep(EVERY)

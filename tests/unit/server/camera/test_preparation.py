@@ -251,13 +251,6 @@ def test_preparing_takes_no_time_of_the_panel_s_lock(bench: Bench, gated: Gated)
     assert [camera.capture(release=False).epoch for _ in range(3)] == [bench.epochs[1]] * 3
 
 
-def test_closing_twice_does_no_harm(bench: Bench) -> None:
-    preparation = bench.preparation()
-    preparation.begin()
-    preparation.close()
-    preparation.close()
-
-
 def test_waiter_for_a_preparation_is_let_go_when_it_is_called_off(
     bench: Bench, gated: Gated
 ) -> None:

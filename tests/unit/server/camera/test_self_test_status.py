@@ -20,17 +20,6 @@ if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
 
 
-def test_states_up_to_the_first_mask(bench: Bench) -> None:
-    camera = bench.unstarted()
-    assert camera.state[0] == "starting"
-    with pytest.raises(NotReadyError):
-        camera.capture(release=False)
-    assert not bench.display.shown
-    camera.rotate()
-    assert [state for state, _ in bench.states] == ["self-test", "ready"]
-    assert bench.test.runs == 1
-
-
 @pytest.mark.parametrize(
     ("fault", "state"),
     [
@@ -64,28 +53,6 @@ def test_without_proof_the_panel_is_opaque_and_nothing_is_captured(
     assert 0 < camera.test_due_in() <= 600
 
 
-def test_test_that_breaks_off_is_safe_and_tells_nothing(bench: Bench) -> None:
-    camera = bench.unstarted()
-    for fault in (ZeroDivisionError("63 17 4"), KeyboardInterrupt()):
-        bench.test.faults = [fault]
-        with pytest.raises(type(fault)):
-            camera.rotate()
-        assert camera.state == ("safe", "the self test broke off", "report_defect")
-        assert not bench.display.shown[-1].any()
-
-
-def test_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
-    bench: Bench, display_fault: DisplayError
-) -> None:
-    camera = bench.unstarted()
-    bench.test.faults, bench.display.faults = [Undecided("it is too dark")], [display_fault]
-    with pytest.raises(Undecided):
-        camera.rotate()
-    state, detail, _ = camera.state
-    assert state == "safe"
-    assert "cannot be made opaque" in str(detail)
-
-
 def test_panel_that_was_set_up_anew_is_tested_before_the_next_capture(bench: Bench) -> None:
     camera = bench.camera(settle=0.02)
     camera.capture(release=False)
@@ -111,20 +78,6 @@ def test_proof_grows_old(bench: Bench) -> None:
     bench.states.clear()
     camera.test_if_due()
     assert [state for state, _ in bench.states] == ["self-test", "ready"]
-
-
-def test_test_that_fails_later_stops_captures(bench: Bench) -> None:
-    camera = bench.camera()
-    bench.display.resets += 1
-    bench.test.faults = [SelfTestError("the panel does not hide")]
-    with pytest.raises(NotReadyError, match="does not hide"):
-        camera.capture(release=False)
-    assert camera.state[0] == "safe"
-    assert not bench.display.shown[-1].any()
-    assert bench.sensor.captures == 0
-    before = bench.epochs[-1]
-    camera.rotate()
-    assert camera.capture(release=False).epoch == bench.epochs[-1] != before
 
 
 def test_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(

@@ -1,4 +1,4 @@
-"""Parts of the demonstration: observers, tally and pictures."""
+"""Parts of the demonstration: tally and pictures."""
 
 from __future__ import annotations
 
@@ -7,58 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import torch
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from veilcam_client.keys.envelopes import seal_key
-from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.sealing import example_envelope
-from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.transfer.grid import GridLight
-from veilcam_server.demo.observer import KeyObserver, PairObserver
 from veilcam_server.demo.report import draw_block, draw_mask
 from veilcam_server.demo.tally import EPOCHS_SHOWN, Sample, Tally
-from veilcam_server.demo_data import load_digits
-from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.sealing.identity import DeviceKey
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
-
-
-@pytest.mark.slow
-@pytest.mark.numerical
-def test_observer_knows_every_mask(bundle: Bundle) -> None:
-    light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
-    observer, digits = PairObserver(bundle), load_digits()
-    generator = torch.Generator().manual_seed(0)
-    for index, pair in enumerate(bundle.pairs):
-        psf = light.psf(torch.from_numpy(to_weights(pair.levels, bundle.camera.panel)))
-        for image in digits.images[:5]:
-            scene = torch.from_numpy(image / np.float32(255))
-            seen = shot_noise(light.embed(scene, psf, bundle.embedding)[None], 40.0, generator)
-            assert observer.which(image, seen[0].numpy(), example_envelope()) == index
-
-
-@pytest.mark.numerical
-def test_observer_with_a_key_draws_the_mask_of_an_envelope(
-    fresh_bundle: Bundle,
-) -> None:
-    receiver, bundle = ReceiverKey.generate(), "0f" * 32
-    signer = DeviceKey(Ed25519PrivateKey.generate())
-    keys = [EpochKey.generate(device=signer.public, bundle=bundle) for _ in range(3)]
-    envelopes = [
-        seal_key(key, signer, epoch=name * 32, bundle=bundle, receivers=[receiver.public])
-        for key, name in zip(keys, "fab", strict=True)
-    ]
-    source, observer = FreshSource(fresh_bundle), KeyObserver(fresh_bundle, receiver)
-    image, measurement = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
-    for number in (0, 1, 0, 2):
-        assert observer.which(image, measurement, envelopes[number]) == number
-        mask = source.make(keys[number], frozenset())
-        assert np.array_equal(observer.levels(number), mask.levels)
 
 
 def sample(epoch: str, mask: int, right: bool) -> Sample:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 from collections.abc import Callable
@@ -364,12 +363,6 @@ def test_nothing_of_a_raw_frame_stays_in_memory() -> None:
     assert not array.view(np.uint16)[:, : MODE.columns].any()
 
 
-@pytest.mark.parametrize("values", [(-1.0, 1.0), (math.nan, 1.0), (0.01, 0.5), (0.01, math.inf)])
-def test_impossible_exposures_are_refused(values: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="is not valid"):
-        ExposureRange(*values)
-
-
 @pytest.mark.parametrize(
     ("error", "message"),
     [
@@ -391,18 +384,11 @@ def test_camera_that_cannot_be_opened_says_what_to_do(
         open_picamera2()
 
 
-@pytest.mark.parametrize(
-    ("missing", "message"),
-    [
-        ("picamera2", r"is not installed: sudo apt install python3-picamera2"),
-        ("libcamera", "not installed, which picamera2 needs: sudo apt install python3-libcamera"),
-    ],
-)
-def test_missing_package_is_named(
-    missing: str, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_missing_package_is_needed_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: str) -> None:
-        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+        raise ModuleNotFoundError("No module named 'libcamera'", name="libcamera")
+
+    message = "not installed, which picamera2 needs: sudo apt install python3-libcamera"
 
     monkeypatch.setattr("veilcam_server.devices.extras.importlib.import_module", fail)
     with pytest.raises(DeviceMissingError, match=message):

@@ -247,14 +247,3 @@ def test_holder_of_a_line_is_named(
 
     monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=chip, request_lines=None))
     assert linux_bus.line_user(Path("/dev/gpiochip4"), 25) == told
-
-
-def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "spidev", None)
-    monkeypatch.setitem(sys.modules, "gpiod", None)
-    told = "spidev is not installed: sudo apt install python3-spidev"
-    with pytest.raises(DeviceMissingError, match=told):
-        LinuxSpi.open("/dev/spidev0.0", 1_000_000)
-    told = "gpiod is not installed: install the package veilcam again"
-    with pytest.raises(DeviceMissingError, match=told):
-        LinuxLines.open("pinctrl-rp1", data=25, reset=24)

@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.reopening import ReopeningDisplay
 from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
-from veilcam_server.devices.st7735r import DRIVER, FULL_FRAME, MOST_PER_SECOND, ST7735R
+from veilcam_server.devices.st7735r import DRIVER, FULL_FRAME, ST7735R
 from veilcam_server.devices.st7735r_glass import TABS, Tab
 
 from .clock import Clock
@@ -226,15 +225,6 @@ def test_set_up_is_the_data_sheet_s(tab: str, places: tuple[str, ...], clock: Cl
     assert done == wanted
 
 
-def test_panel_facts_are_known() -> None:
-    assert {name: tab.memory for name, tab in TABS.items()} == {
-        **dict.fromkeys(("red", "black"), (128, 160)),
-        "green": (132, 162),
-    }
-    # At most a bit in 66 ns, the data sheet's write cycle of the serial clock.
-    assert MOST_PER_SECOND == 10**9 // 66
-
-
 @pytest.mark.parametrize("cycle", [(), (0, 1, 2)])
 def test_panel_with_or_without_colours_is_driven(cycle: tuple[int, ...], wire: Wire) -> None:
     camera = Camera(panel=Panel(filter_cycle=cycle))
@@ -374,13 +364,3 @@ def test_one_lost_transfer_of_a_change_leaves_the_right_mask(tab: Tab, clock: Cl
             assert bus.sent == transfers
             bus.lose = -1
             assert np.array_equal(bus.framebuffer(), on_glass(levels, CAMERA.window))
-
-
-def test_lost_writes_leave_another_picture(clock: Clock) -> None:
-    panel, emulator = emulated(clock, TABS["green"])
-    emulator.faults = PanelFaults(lost=6)
-    emulator._writes = 0
-    for _ in range(12):
-        levels = draw()
-        panel.show(levels)
-        assert not np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))

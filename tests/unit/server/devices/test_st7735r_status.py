@@ -103,16 +103,6 @@ def test_status_bits_that_are_not_as_set_are_said(bit: int, told: str) -> None:
     assert str(caught.value) == f"the panel answers that {told}: check its power and wiring"
 
 
-def test_all_that_is_wrong_is_said_at_once() -> None:
-    """After a moment without power: registers as after power-up."""
-    line = status("0 000000 0  0 110 0 0 0 1  00 0 00 0 0 0  00000000")
-    with pytest.raises(
-        DisplayError,
-        match="its voltages are off, its memory is turned, it sleeps, its display is off:",
-    ):
-        require_sound(line, line, 0xC8)
-
-
 @pytest.mark.parametrize("level", "01")
 def test_line_that_nobody_drives_is_no_answer(level: str) -> None:
     line = status(32 * level, dummy=level, after=level)

@@ -18,7 +18,7 @@ from veilcam_server.errors import (
     ProblemError,
     StorageError,
 )
-from veilcam_server.sealing.receivers import NAME, ReceiverStore, parse_receiver
+from veilcam_server.sealing.receivers import NAME, ReceiverStore
 
 
 def some(count: int) -> list[Receiver]:
@@ -71,19 +71,6 @@ def test_receivers_are_eight_at_most(store: ReceiverStore) -> None:
     store.remove(receivers[3].id)
     store.add("one more", receivers[8])
     assert store.keys == (*receivers[:3], *receivers[4:])
-
-
-@pytest.mark.parametrize("end", ["", ".copy"])
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_record_is_put_right(
-    tmp_path: Path, store: ReceiverStore, damage: Callable[[Path], None], end: str
-) -> None:
-    faults: list[ProblemError] = []
-    store.add("archive", *some(1))
-    damage(tmp_path / f"{NAME}{end}")
-    again = ReceiverStore(tmp_path, faults.append)
-    assert (again.paired, again.lost) == (store.paired, False)
-    assert [fault.code for fault in faults] == ["state_damaged"]
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
@@ -144,10 +131,3 @@ def test_record_that_holds_something_else_is_lost(
     (fault,) = faults
     assert "receivers.json holds another record" in str(fault)
     assert (tmp_path / f"{NAME}.damaged").exists()
-
-
-def test_receiver_s_key_is_read_and_what_is_none_is_said() -> None:
-    (receiver,) = some(1)
-    assert parse_receiver(str(receiver)) == receiver
-    with pytest.raises(ProblemError, match="this is no receiver's key: use veilcam-rec"):
-        parse_receiver("veilcam-receiver:AAAA")

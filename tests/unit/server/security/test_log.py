@@ -29,7 +29,7 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.system.state_folder import read_file
 
 if TYPE_CHECKING:
-    from tests.unit.server.conftest import Bench, Running
+    from tests.unit.server.conftest import Running
 
 pytestmark = pytest.mark.anyio
 FULL = OSError(errno.ENOSPC, "No space left on device")
@@ -559,28 +559,3 @@ async def test_change_whose_entry_fails_is_not_answered_for(
         assert again.status_code == 201
         assert len(store.tokens()) == 2
     assert [entry["action"] for entry in events(tmp_path)][-1] == "POST /v1/tokens"
-
-
-async def test_change_is_flushed_and_a_capture_is_not(
-    running: Running, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = open_log(tmp_path)
-    durable: list[tuple[str, bool]] = []
-    append = log.append
-
-    def noted(kind: Any, facts: Any, **how: Any) -> None:
-        durable.append((facts["action"], how["durable"]))
-        append(kind, facts, **how)
-
-    monkeypatch.setattr(log, "append", noted)
-    async with running(admission=Admission(log=log)) as client:
-        await client.put("/v1/rotation", json={"mode": "off"})
-        await client.post("/v1/captures")
-        await client.post("/v1/rotation/advance")
-        await client.put("/v1/rotation", json={"mode": "never"})
-    assert durable == [
-        ("PUT /v1/rotation", True),
-        ("POST /v1/rotation/advance", False),
-        ("PUT /v1/rotation", False),
-    ]
-    assert [each["caller"] for each in events(bench.state_dir, "capture")] == ["127.0.0.1"]

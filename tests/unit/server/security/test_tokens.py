@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import stat
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,10 +67,6 @@ def record(directory: Path) -> dict[str, Any]:
     return found
 
 
-def full(update: object) -> None:
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
 def make(store: TokenStore, *scopes: Scope, lifetime: float | None = None) -> NewToken:
     return store.create("for a test", scopes or ("classify",), lifetime)
 
@@ -92,18 +86,6 @@ def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
     store.create("of another version", scopes, None)
     with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
         TokenStore(tmp_path)
-
-
-def test_token_with_the_scope_of_rounded_scores_reads_scores(tmp_path: Path) -> None:
-    """As it was stored when scores in tenths had a scope of their own."""
-    store = TokenStore(tmp_path)
-    made = [make(store, "classify"), make(store, "classify", "read:scores")]
-    for path in tmp_path.glob("tokens.json*"):
-        content = path.read_bytes().partition(b" ")[2]
-        content = content.replace(b'"classify"', b'"classify","read:scores:rounded"')
-        path.write_bytes(sha256(content).hexdigest().encode() + b" " + content)
-    scopes = [who(TokenStore(tmp_path), each.secret).scopes for each in made]
-    assert scopes == 2 * [{"classify", "read:scores"}]
 
 
 def test_token_is_its_label_and_scopes(store: TokenStore) -> None:
@@ -237,7 +219,7 @@ def test_disk_that_takes_nothing_refuses_no_request(
         raise StorageError("written (No space left on device): check the disk")
 
     with monkeypatch.context() as patch:
-        patch.setattr(store._file, "change", fail)
+        patch.setattr(store._file, "stage", fail)
         for _ in range(3):
             who(store, made.secret)
         assert len(tried) == 1
@@ -259,22 +241,6 @@ def test_path_that_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> N
     (tmp_path / "file").touch()
     with pytest.raises(StartError, match=r"file cannot be used .* --state-dir"):
         TokenStore(tmp_path / "file")
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_tokens_are_put_right_while_the_daemon_runs_and_at_its_start(
-    tmp_path: Path, damage: Callable[[Path], None]
-) -> None:
-    faults: list[ProblemError] = []
-    store = TokenStore(tmp_path, report=faults.append)
-    made = make(store)
-    who(store, made.secret)
-    damage(tmp_path / "tokens.json")
-    assert who(store, made.secret).id == made.id
-    assert [fault.code for fault in faults] == ["state_damaged"]
-    damage(tmp_path / "tokens.json.copy")
-    assert who(TokenStore(tmp_path, report=faults.append), made.secret).id == made.id
-    assert [fault.code for fault in faults] == ["state_damaged", "state_damaged"]
 
 
 @pytest.mark.parametrize("running", [True, False], ids=["while it runs", "at the start"])
@@ -381,36 +347,12 @@ def test_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, clock:
     turn_away(store, made.secret)
 
 
-def test_token_made_is_flushed_to_the_disk(store: TokenStore, flushed: list[str]) -> None:
-    made = make(store)
-    assert flushed == ["tokens.json.new", "tokens.json.copy.new", "state"]
-    store.revoke(made.id)
-    assert len(flushed) == 6
-
-
 def test_two_stores_that_write_at_once_lose_nothing(store: TokenStore, tmp_path: Path) -> None:
     other = TokenStore(tmp_path / "state")
     with ThreadPoolExecutor(2) as threads:
         made = list(threads.map(make, [store, other] * 8))
     assert {token.id for token in store.tokens()} == {token.id for token in made}
     assert store.tokens() == other.tokens()
-
-
-def test_change_that_breaks_off_leaves_nothing(
-    store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = make(store)
-    before = record(tmp_path / "state")
-    store._wall = lambda: 1.9e9
-    with monkeypatch.context() as patch:
-        patch.setattr(store._file, "_write_beside", full)
-        with pytest.raises(StorageError, match="cannot be written"):
-            store.revoke(made.id)
-    # The clock was advanced in the same change, and so is not.
-    assert record(tmp_path / "state") == before
-    assert who(store, made.secret).id == made.id
-    store.revoke(made.id)
-    assert record(tmp_path / "state")["seen"] == 1.9e9
 
 
 # Over HTTP.

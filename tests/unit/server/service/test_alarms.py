@@ -17,8 +17,7 @@ from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.engine import Condition
-from veilcam_server.camera.epochs import Epoch
-from veilcam_server.errors import NotReadyError, SelfTestError, StorageError
+from veilcam_server.errors import SelfTestError, StorageError
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.scheduler import Alarms, Scheduler
 from veilcam_server.service.service import Service
@@ -198,33 +197,6 @@ async def test_task_that_meets_a_defect_goes_on(
     degraded = ("degraded", f"a defect in the {task}: it is tried again", "report_defect")
     assert degraded in heard.states
     assert SECRET not in str(logs) + str(heard.events)
-    camera.stop()
-
-
-async def test_mask_that_cannot_be_made_for_a_while_stops_no_task(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    camera = bench.camera(policy=EveryCaptures(captures=1))
-    camera.await_next()
-    failing = True
-    take = camera.preparation.take
-
-    def taken() -> Epoch:
-        if failing:
-            raise NotReadyError("the next mask is still being prepared: try again")
-        return take()
-
-    monkeypatch.setattr(camera.preparation, "take", taken)
-    scheduler, alarms, _ = scheduled(bench, camera)
-    async with scheduler.running():
-        camera.capture(release=False).done()
-        scheduler.wake()
-        await until(lambda: alarms.state.state == "degraded")
-        with pytest.raises(NotReadyError):
-            camera.capture(release=False)
-        failing = False
-        await until(lambda: alarms.state.state == "ready")
-        camera.capture(release=False).done()
     camera.stop()
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,15 +76,6 @@ def test_another_setting_at_the_start_ends_what_was_set(rig: Rig) -> None:
     assert not rig.faults
 
 
-@pytest.mark.parametrize("name", ["rotation.json", "rotation.json.copy"])
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damaged_record_is_put_right(rig: Rig, damage: Callable[[Path], None], name: str) -> None:
-    rig.open().set(SELDOM)
-    damage(rig.directory / name)
-    assert rig.start() == SELDOM
-    assert [fault.code for fault in rig.faults] == ["state_damaged"]
-
-
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_lost_record_is_told_and_the_setting_holds(
     rig: Rig, damage: Callable[[Path], None]
@@ -121,20 +110,6 @@ def test_lone_mask_in_use_under_a_lost_policy_stays(rig: Rig) -> None:
 def test_settings_that_do_not_fit_together_are_left_to_the_start(rig: Rig) -> None:
     assert rig.start(OFTEN, renewable=False) == OFTEN
     assert not rig.faults
-
-
-def test_policy_that_cannot_be_made_durable_is_an_error(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    store = rig.open()
-    store.set(SELDOM)
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(StorageError, match=r"\(No space left .*is what it was: check the state"):
-        store.set(OFTEN)
-    assert rig.start() == SELDOM
 
 
 @pytest.mark.anyio

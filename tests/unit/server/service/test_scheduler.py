@@ -13,8 +13,7 @@ from structlog.testing import capture_logs
 from tests.unit.server.devices.clock import Clock
 from tests.unit.server.service.waiting import until
 
-from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_server.devices import Device, SensorError
+from veilcam_server.devices import Device
 from veilcam_server.devices.errors import SensorHungError
 from veilcam_server.devices.reopening import Health, stamped
 from veilcam_server.errors import NotReadyError, UndecidedError
@@ -92,19 +91,6 @@ async def test_pauses_grow_from_one_failure_to_the_next(
     async with scheduler(bench, camera, first_pause=1.0).running():
         await until(lambda: bench.test.runs == 11 and camera.state[0] == "ready")
     assert pauses == [1, 2, 4, 8, 16, 32, 60, 60, 60]
-    camera.stop()
-
-
-@pytest.mark.anyio
-async def test_masks_change_while_nobody_captures(bench: Bench) -> None:
-    camera = bench.camera(policy=EveryCaptures(captures=1))
-    kept = scheduler(bench, camera)
-    async with kept.running():
-        for number in range(2, 5):
-            camera.capture(release=False).done()
-            while len(bench.epochs) < number:
-                kept.wake()
-                await asyncio.sleep(0.002)
     camera.stop()
 
 
@@ -209,23 +195,6 @@ async def test_failed_test_is_no_fault_of_its_own_in_the_events(
     # What was asked for failed; what was tried again in the background only says when it is back.
     assert kinds.count("fault") == 1
     assert kinds.count("state") == 3
-
-
-@pytest.mark.anyio
-async def test_sensor_that_fails_again_and_again_ends_nothing(bench: Bench) -> None:
-    def fail() -> None:
-        raise SensorError("the camera gave no frame")
-
-    service = bench.service(bench.camera())
-    async with service.open():
-        bench.sensor.before = fail
-        for _ in range(5):
-            with pytest.raises((SensorError, NotReadyError)):
-                await service.capture()
-        assert service.status().state == "degraded"
-        bench.sensor.before = lambda: None
-        await service.rotate()
-        await service.capture()
 
 
 def test_sensor_that_is_not_let_go_is_the_watchdogs_business(bench: Bench) -> None:

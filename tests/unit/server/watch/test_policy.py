@@ -35,14 +35,6 @@ def test_lost_record_switches_nothing_on(tmp_path: Path) -> None:
     assert "the camera does not look" in str(faults[0])
 
 
-def test_one_damaged_copy_changes_nothing(tmp_path: Path) -> None:
-    faults = list[ProblemError]()
-    WatchStore(tmp_path, OnRequest()).set(TWICE)
-    (tmp_path / "watch.json").write_bytes(b"damaged")
-    assert WatchStore(tmp_path, OnRequest(), faults.append).at_start() == TWICE
-    assert [fault.code for fault in faults] == ["state_damaged"]
-
-
 def test_disk_that_takes_nothing_is_told(tmp_path: Path) -> None:
     store = WatchStore(tmp_path / "gone", OnRequest())
     with pytest.raises(StorageError, match=r"watch.json cannot be .* is what it was: check the"):

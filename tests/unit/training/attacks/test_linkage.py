@@ -23,7 +23,6 @@ from veilcam_training.attacks.linkage import (
     by_lengths,
     by_metric,
     by_network,
-    first_ranks,
     link_area,
 )
 from veilcam_training.attacks.networks import TRIALS, linear, perceptron
@@ -88,15 +87,6 @@ def test_cosines_see_past_what_captures_share() -> None:
     # Independent captures: an area of a half, within six standard errors.
     gain = linkage_gain(apart(first + mean, second + mean).numpy())
     assert gain.value < 6 * gain.error
-
-
-def test_first_ranks_are_those_whose_own_scores_highest() -> None:
-    scores = torch.tensor([[[3.0, 1, 2], [1, 2, 3], [0, 0, 1]]])
-    assert first_ranks(scores).tolist() == [[True, False, True]]
-    noise = torch.rand(200, 50, 50, generator=torch.Generator().manual_seed(1))
-    share = float(first_ranks(noise).double().mean())
-    # One in fifty, of 10,000: standard error 0.14 %.
-    assert abs(share - 0.02) < 5 * 0.0014
 
 
 def test_blocks_hold_neighbours_as_pairs() -> None:

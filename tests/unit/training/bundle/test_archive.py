@@ -7,7 +7,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import struct
 import zipfile
 from collections.abc import Callable
@@ -512,42 +511,3 @@ def test_reason_has_300_letters(path: Path, monkeypatch: pytest.MonkeyPatch, len
     with pytest.raises(BundleError) as caught:
         read_bundle(path)
     assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
-
-
-def test_bundle_and_then_its_name_are_on_the_disk(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before, done = path.read_bytes(), []
-    sync, move = os.fsync, os.replace
-
-    def synced(descriptor: int) -> None:
-        place = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
-        done.append(("folder" if place.is_dir() else "file", place.stat().st_size))
-        assert place.is_dir() or path.read_bytes() == before
-        sync(descriptor)
-
-    def moved(source: str, target: Path) -> None:
-        done.append(("moved", Path(source).stat().st_size))
-        move(source, target)
-
-    monkeypatch.setattr(os, "fsync", synced)
-    monkeypatch.setattr(os, "replace", moved)
-    open_files = len(os.listdir("/proc/self/fd"))
-    write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
-    size = path.stat().st_size
-    assert done[:2] == [("file", size), ("moved", size)]
-    assert [what for what, _ in done[2:]] == ["folder"]
-    assert len(os.listdir("/proc/self/fd")) == open_files
-    assert read_bundle(path).task == "another"
-
-
-@pytest.mark.parametrize("broken", ["fsync", "replace"])
-def test_disk_that_fails_leaves_the_old_bundle(
-    path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
-) -> None:
-    before = path.read_bytes()
-    monkeypatch.setattr(os, broken, Mock(side_effect=OSError(28, "No space left on device")))
-    with pytest.raises(OSError, match="No space left"):
-        write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
-    assert path.read_bytes() == before
-    assert [file.name for file in path.parent.iterdir()] == [path.name]

@@ -184,27 +184,6 @@ def test_no_weight_dies() -> None:
         assert bool(moved[bound].any())
 
 
-def test_closed_mask_opens_again() -> None:
-    """From a mask that is opaque everywhere, the optimiser finds its way back to the light."""
-    encoder = fresh("learned", None)
-    assert isinstance(encoder, LearnedMask)
-    wanted = encoder(scenes(colour=False)).detach()
-    with torch.no_grad():
-        encoder.weights.zero_()
-    encoder.project()
-    optimiser = torch.optim.Adam(encoder.parameters(), lr=3e-2)
-    losses = []
-    for _ in range(60):
-        loss = (encoder(scenes(colour=False)) / wanted - 1).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        encoder.project()
-        losses.append(float(loss.detach()))
-    assert losses[0] > 0.5
-    assert losses[-1] < 1e-2
-
-
 def test_gradient_is_the_slope_of_the_unrounded_mask() -> None:
     """Straight-through: what rounding hides is seen by a panel with very many levels."""
     fine = Camera(sensor=CAMERA.sensor, panel=Panel(levels=256))

@@ -220,15 +220,6 @@ def test_embeddings_are_in_the_order_of_the_images() -> None:
         torch.testing.assert_close(together[shown.chosen], seen)
 
 
-@pytest.mark.parametrize("angle", [-math.pi / 2, math.pi / 2])
-def test_right_angle_is_exact(angle: float) -> None:
-    c, s = math.cos(angle), math.sin(angle)
-    matrix = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]).repeat(6, 1, 1)
-    turned = warp(images(), matrix, (28, 28))
-    expected = torch.rot90(images(), -1 if angle > 0 else 1, (2, 1))
-    torch.testing.assert_close(turned, expected, atol=1e-4, rtol=0)
-
-
 def test_rotation_is_up_to_the_angle_to_either_side() -> None:
     bar = torch.zeros(2000, 28, 28)
     bar[:, 13:15, 18:24] = 1  # to the right of the centre
