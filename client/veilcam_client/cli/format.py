@@ -162,7 +162,7 @@ def status_in_words(status: Status) -> str:
         f"next      {next_in_words(status.rotation.preparation)}",
         f"release   {release_in_words(status)}",
         *(f"receiver  {receiver_in_words(receiver)}" for receiver in status.receivers),
-        f"captures  {status.captures} in {status.uptime_s:.0f} s",
+        f"captures  {status.captures} asked for in {status.uptime_s:.0f} s",
         f"version   {status.version}",
     ]
     return "\n".join(lines)
