@@ -16,6 +16,8 @@ from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 
 NAME = f"{__name__}:serve"
+FIRST = "0" * 64
+"""Digest of the bundle that it starts with."""
 STREAMS = 3
 NAMES = 3
 """Names of epochs that there are, so that whoever looks three times has seen each."""
@@ -31,7 +33,7 @@ class Careless(ThreadingHTTPServer):
         self.settings, self.uploads = settings, threading.Lock()
         self.epoch = self.captures = self.streams = 0
         self.policy: Any = {"mode": "off"}
-        self.bundles, self.tokens = {"0" * 64: True}, dict[str, None]()
+        self.bundles, self.tokens = {FIRST: True}, dict[str, None]()
         self.paired: list[str] = []
         threading.Thread(target=self._rotate, daemon=True).start()
 
@@ -61,8 +63,8 @@ class Handler(BaseHTTPRequestHandler):
             "calibration": {"signed": None, "run": {"stage": "done"}},
             "bundles": {
                 "bundles": [
-                    {"digest": digest, "active": active, "bundle": {}, "configured": digest < "1"}
-                    for digest, active in list(self.server.bundles.items())
+                    {"digest": name, "active": active, "bundle": {}, "configured": name == FIRST}
+                    for name, active in list(self.server.bundles.items())
                 ]
             },
             "tokens": {

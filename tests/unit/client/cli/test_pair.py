@@ -150,12 +150,12 @@ def test_profile_that_is_there_is_not_replaced(daemon: Daemon, line: str, settin
     assert refused.exit_code == 2
     assert "has a profile 'local' already" in refused.stderr
     assert len(daemon.requests) == 1
-    other = {**PAIRED, "device": "ab" * 32}
+    other = {**PAIRED, "device": "ab" * 32, "role": "viewer"}
     daemon.first = [httpx.Response(201, json=other)]
     made = runner.invoke(app, ["pair", line]).stdout
     assert "profile: local-2\n" in made
-    assert "veilcam capture --profile local-2\n" in made
-    assert "Camera(profile='local-2').capture()" in made
+    assert "veilcam classify --profile local-2\n" in made
+    assert "Camera(profile='local-2').classify()" in made
     kept = {file: file.read_bytes() for file in before if file.name != "config.toml"}
     assert kept.items() <= before.items()
     assert profile_of().device == DEVICE

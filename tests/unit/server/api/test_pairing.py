@@ -16,6 +16,7 @@ from tests.unit.server.logs import events, open_log
 from tests.unit.server.security.conftest import Clock
 
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.base import UNAUTHORIZED_HINT, Problem
 from veilcam_client.wire.pairing import OFFER_SECONDS, PairingLine, PairingOffer
 from veilcam_client.wire.tokens import ROLES
 from veilcam_server.sealing.receivers import Pairing
@@ -151,6 +152,8 @@ async def test_offer_that_ended_pairs_nobody_and_is_answered_as_none(
         answer = await claim(client, secret)
         assert code(answer) == (401, "unauthorized")
         assert told(answer) == told(none)
+        # A claim goes without a token: nobody is advised to give one.
+        assert UNAUTHORIZED_HINT not in str(Problem.model_validate_json(answer.content).error())
         assert answer.headers.keys() == none.headers.keys()
         assert len(door.bench.receivers.keys) == paired
     ended = [each.get("offer") for each in events(door.bench.state_dir, "refused")]
