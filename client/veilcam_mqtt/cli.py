@@ -23,7 +23,7 @@ from veilcam_client.cli.terminal import (
     camera_of,
     errors,
     fail,
-    version_of,
+    version_option,
 )
 from veilcam_client.http.credentials import read_secret
 from veilcam_mqtt.bridge import Bridge, CameraChangedError
@@ -97,12 +97,7 @@ def run(
     json: Annotated[
         bool, typer.Option("--json", help="Log JSON lines, also on a terminal.")
     ] = False,
-    _: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=version_of(COMMAND), is_eager=True, help="Print the version."
-        ),
-    ] = False,
+    _: Annotated[bool, version_option(COMMAND)] = False,
 ) -> None:
     """Tell a house what a Veilcam camera sees, over MQTT, as Home Assistant has it.
 

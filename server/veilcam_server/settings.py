@@ -49,9 +49,7 @@ _SHORTEST = 6e-5
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
 
-_WORDS = frozenset(
-    ("auth", "beat", "device", "log_level", "release", "watch", "quiet_hours", "beat")
-)
+_WORDS = frozenset(("auth", "beat", "device", "log_level", "release", "watch", "quiet_hours"))
 """Settings that are one of a few words, a rate or times of day."""
 
 _REPLAYED = frozenset(
@@ -137,7 +135,7 @@ class Settings(CallerLimits, Wiring):
     """Exposure in seconds."""
     exposure_factor: float = Field(default=1.0, ge=1, le=1000, allow_inf_nan=False)
     """The camera may expose so many times shorter or longer; 1 for a fixed exposure."""
-    snr_db: float = Field(default=40.0)
+    snr_db: float = Field(default=40.0, ge=-100)
     """Simulated signal-to-noise ratio in dB."""
     imperfections: Path | None = None
     """How the simulated camera departs from a nominal one: a JSON file (docs/calibration.md)."""

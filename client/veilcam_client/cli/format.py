@@ -122,8 +122,7 @@ def masks_in_words(bundle: BundleInfo) -> str:
     return "fresh masks" if bundle.mode == "fresh" else f"{bundle.pairs} masks"
 
 
-def next_in_words(preparation: Preparation) -> str:
-    """Say whether the next mask is ready, and how often it was late."""
+def _next_in_words(preparation: Preparation) -> str:
     ready = "ready" if preparation.ready else "not ready"
     if not preparation.late:
         return ready
@@ -137,17 +136,11 @@ def replay_in_words(answer: Capture | Classification) -> str:
     return f"  replay of {answer.taken_at:%Y-%m-%d %H:%M:%S}"
 
 
-def epoch_in_words(rotation: Rotation) -> str:
-    """Return the present epoch in words."""
-    if rotation.epoch is None:
-        return "none: no mask is shown"
-    return f"{rotation.epoch}, {rotation.captures} captures"
-
-
 def status_in_words(status: Status) -> str:
     """Return the camera and its state in words."""
     shape = " x ".join(str(count) for count in status.bundle.embedding_shape)
     masks = masks_in_words(status.bundle)
+    limit = f", {status.raw_budget} a mask at most" if status.release == "raw" else ""
     lines = [f"state     {status.state}{f' ({status.detail})' if status.detail else ''}"]
     if status.remedy:
         lines.append(f"remedy    {status.remedy}")
@@ -159,19 +152,13 @@ def status_in_words(status: Status) -> str:
         *([] if status.clock is None else [_clock_in_words(status.clock)]),
         f"task      {status.bundle.task}, {shape}, {masks}",
         rotation_in_words(status.rotation),
-        f"next      {next_in_words(status.rotation.preparation)}",
-        f"release   {release_in_words(status)}",
+        f"next      {_next_in_words(status.rotation.preparation)}",
+        f"release   {status.release}{limit}",
         *(f"receiver  {receiver_in_words(receiver)}" for receiver in status.receivers),
-        f"captures  {status.captures} in {status.uptime_s:.0f} s",
+        f"captures  {status.captures} asked for in {status.uptime_s:.0f} s",
         f"version   {status.version}",
     ]
     return "\n".join(lines)
-
-
-def release_in_words(status: Status) -> str:
-    """In which form embeddings leave, and how many behind one mask where that is limited."""
-    limit = f", {status.raw_budget} a mask at most" if status.release == "raw" else ""
-    return f"{status.release}{limit}"
 
 
 def receiver_in_words(receiver: PairedReceiver) -> str:
@@ -181,7 +168,10 @@ def receiver_in_words(receiver: PairedReceiver) -> str:
 
 def rotation_in_words(rotation: Rotation) -> str:
     """Return the policy of mask changes and the present epoch, in two lines."""
-    return f"rotation  {policy_in_words(rotation.policy)}\nepoch     {epoch_in_words(rotation)}"
+    epoch = "none: no mask is shown"
+    if rotation.epoch is not None:
+        epoch = f"{rotation.epoch}, {rotation.captures} captures"
+    return f"rotation  {policy_in_words(rotation.policy)}\nepoch     {epoch}"
 
 
 def lease_in_words(lease: Lease) -> str:

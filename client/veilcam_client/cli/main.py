@@ -36,7 +36,7 @@ from veilcam_client.cli.terminal import (
     errors,
     fail,
     tell,
-    version_of,
+    version_option,
 )
 from veilcam_client.cli.watch import watch
 from veilcam_client.numbers import in_blocks, picture
@@ -55,12 +55,7 @@ app: typer.Typer = typer.Typer(
 @app.callback()
 def veilcam(
     *,
-    _: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=version_of("veilcam"), is_eager=True, help="Print the version."
-        ),
-    ] = False,
+    _: Annotated[bool, version_option("veilcam")] = False,
 ) -> None:
     """Ask a Veilcam camera what it sees."""
 

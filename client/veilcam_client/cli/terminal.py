@@ -174,15 +174,15 @@ def camera_of(
     return profile_of(url, profile, local=local, token=token)
 
 
-def version_of(command: str) -> Callable[[bool], None]:
-    """Return the callback of ``--version``, which prints the version of a command."""
+def version_option(command: str) -> Any:
+    """Return the option ``--version``, which prints the version of a command."""
 
     def show(wanted: bool) -> None:
         if wanted:
             typer.echo(f"{command} {installed_version()}")
             raise typer.Exit
 
-    return show
+    return typer.Option("--version", callback=show, is_eager=True, help="Print the version.")
 
 
 @contextmanager

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from collections.abc import Generator
 from contextlib import closing
-from types import TracebackType
 from typing import Self
 
 import httpx
@@ -51,12 +50,7 @@ class EventStream:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __iter__(self) -> Self:

@@ -84,7 +84,7 @@ class Status(Answer):
     uptime_s: float
     """Time since the start [s]."""
     captures: int
-    """Captures since the start."""
+    """Captures since the start that callers asked for, without those of the watch."""
     release: Release
     """Form in which embeddings leave."""
     raw_budget: int

@@ -69,7 +69,8 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
                 f"the panel is not known: give --{name.replace('_', '-')} {what}, or use --simulate"
             )
     display.check(bundle.camera)
-    _check_clock(settings, display.fastest)
+    if display.fastest is not None and settings.spi_hz > display.fastest:
+        log.warning("fast panel bus", speed=settings.spi_hz, most=display.fastest)
     return Device(
         ReopeningDisplay(display.name, partial(display.open, settings, bundle.camera)),
         ReopeningSensor(
@@ -79,11 +80,6 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
         ),
         simulated=False,
     )
-
-
-def _check_clock(wiring: Wiring, fastest: int | None) -> None:
-    if fastest is not None and wiring.spi_hz > fastest:
-        log.warning("fast panel bus", speed=wiring.spi_hz, most=fastest)
 
 
 def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:

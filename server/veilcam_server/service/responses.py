@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, ParamSpec, TypeVar
 
@@ -61,10 +61,11 @@ def _told(prediction: Prediction, scores: Scores) -> Prediction:
         return prediction
     if scores == "none":
         return Prediction(label=prediction.label)
+    scored = prediction.scores
     return Prediction(
         label=prediction.label,
         confidence=told_confidence(prediction.confidence, scores),
-        scores=_tenths(prediction.scores),
+        scores=scored and {label: round(score, 1) for label, score in scored.items()},
     )
 
 
@@ -78,12 +79,6 @@ def told_confidence(confidence: float | None, scores: Scores) -> float | None:
 def told_sight(sight: SightT, scores: Scores) -> SightT:
     """Return a sight with its probability as a caller may see it."""
     return sight.model_copy(update={"confidence": told_confidence(sight.confidence, scores)})
-
-
-def _tenths(scores: Mapping[str, float] | None) -> Mapping[str, float] | None:
-    if scores is None:
-        return None
-    return {label: round(score, 1) for label, score in scores.items()}
 
 
 P = ParamSpec("P")

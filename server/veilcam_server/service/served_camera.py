@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import structlog
 
-from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import Faults
 from veilcam_client.wire.status import Device as DeviceInfo
@@ -29,7 +27,6 @@ from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import Checks, OpticalSelfTest
-from veilcam_server.devices.base import Device
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.simulated.images import as_scene, decoded, range_warning
 from veilcam_server.devices.simulated.scenes import Scenes
@@ -39,7 +36,7 @@ from veilcam_server.service.state import State
 from veilcam_server.settings import Settings
 from veilcam_server.system.logs import log_defect
 from veilcam_server.watch.watcher import WatchSetup, open_watch
-from veilcam_training.bundle import Bundle, read_bundle
+from veilcam_training.bundle import read_bundle
 
 log = structlog.get_logger()
 
@@ -135,7 +132,17 @@ class ServedCamera:
                 renewable=source.renewable,
                 configured=info.digest == bundle.digest,
             )
-            engine = _engine(settings, bundle, device, preparation, policy=policy, signed=signed)
+            colour, levels = bundle.channels == 3, bundle.camera.panel.levels
+            engine = MaskedCamera(
+                device,
+                preparation,
+                bundle.measurement_shape,
+                OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding, colour=colour),
+                fence=Fence(settle_time(settings, signed), settings.capture_timeout),
+                policy=policy,
+                checks=Checks(settings.self_test_every, settings.guard, levels),
+                calibration=signed,
+            )
             undo.pop_all()
             undo.callback(engine.stop)
             watch = open_watch(settings, signed, report)
@@ -164,27 +171,6 @@ class ServedCamera:
             watch,
             simulation,
         )
-
-
-def _engine(
-    settings: Settings,
-    bundle: Bundle,
-    device: Device,
-    preparation: Preparation,
-    *,
-    policy: RotationPolicy,
-    signed: SignedCalibration | None,
-) -> MaskedCamera:
-    return MaskedCamera(
-        device,
-        preparation,
-        bundle.measurement_shape,
-        OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding, colour=bundle.channels == 3),
-        fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-        policy=policy,
-        checks=Checks(settings.self_test_every, settings.guard, bundle.camera.panel.levels),
-        calibration=signed,
-    )
 
 
 def _begin(engine: MaskedCamera, rests: str | None) -> None:

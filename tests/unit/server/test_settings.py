@@ -346,3 +346,7 @@ def test_times_follow_from_exposure_and_settling(
 )
 def test_settings_that_only_just_fit_are_taken(given: dict[str, Any]) -> None:
     assert Settings(**{"bundle": Path("a.veilcam"), "device": "pi", **given})
+
+
+def test_ratio_of_noise_that_is_no_number_is_refused() -> None:
+    assert refused(snr_db=math.nan).startswith("--snr-db: ")

@@ -68,18 +68,6 @@ class Conditions:
     read_back: bool = False
     """Whether the panel is asked after each mask if it shows it."""
 
-    def __post_init__(self) -> None:
-        for name in ("settle", "exposure", "scan"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} = {value} s is not valid: use a number >= 0")
-        if math.isnan(self.snr_db):
-            raise ValueError("snr_db = nan is not valid: use a number of dB, or inf for no noise")
-        if not 0 <= self.warm_up < 1:
-            raise ValueError(f"warm_up = {self.warm_up} is not valid: use a share from 0 to 1")
-        if not (math.isfinite(self.warm_up_time) and self.warm_up_time > 0):
-            raise ValueError(f"warm_up_time = {self.warm_up_time} s is not valid: use a number > 0")
-
 
 class SimulatedLight:
     """Light of a scene through a panel, as raw frames of an exposure from begin to end [s]."""
