@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,6 +89,23 @@ def test_counts_outlive_the_daemon_and_another_number_is_held_against_them(tmp_p
     assert ReleaseBudget(tmp_path, 3).spent(MARKS, "raw") == frozenset()
     assert ReleaseBudget(tmp_path, 2).spent(MARKS, "raw") == {"a1"}
     assert ReleaseBudget(tmp_path, 0).spent(MARKS, "raw") == MARKS
+
+
+@pytest.mark.slow
+def test_embedding_that_was_to_leave_when_the_daemon_was_killed_has_left(tmp_path: Path) -> None:
+    """Killed between the count and the answer: nobody knows what left, so it did."""
+    script = (
+        "import os, pathlib, sys\n"
+        "from veilcam_server.camera.budget import ReleaseBudget\n"
+        "from veilcam_server.masks.source import Mask\n"
+        "budget = ReleaseBudget(pathlib.Path(sys.argv[1]), 3)\n"
+        "for _ in range(2): budget.spend(Mask(None, None, 'a1'), 'raw')\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False)
+    assert killed.returncode == -9
+    assert ReleaseBudget(tmp_path, 2).is_spent(stored(), "raw")
+    assert not ReleaseBudget(tmp_path, 3).is_spent(stored(), "raw")
 
 
 @pytest.mark.parametrize("half_way", [False, True])

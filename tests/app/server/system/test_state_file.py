@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ConfigDict
 from structlog.testing import capture_logs
+from tests.app.server.killing import kill_writers
 from tests.unit.server.damage import DAMAGES, flip
 
 from veilcam_server.errors import (
@@ -328,6 +329,25 @@ def test_staged_state_holds_once_it_is_committed(rig: Rig, monkeypatch: pytest.M
     rig.write("e")
     assert rig.read() == Note(text="e")
     assert len(list(rig.path.parent.iterdir())) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_writer_that_is_killed_loses_nothing_that_it_acknowledged(rig: Rig) -> None:
+    def write(_: int) -> Iterator[int]:
+        record = rig.open()
+        while True:
+            yield record.change(lambda held: Note(number=1 + (held.number if held else 0))).number
+
+    def found(said: int) -> int:
+        held = rig.read()
+        number = 0 if held is None else held.number
+        # What was acknowledged is there, and at most the change that was cut off besides.
+        assert said <= number <= said + 1
+        return number
+
+    assert kill_writers(write, found) > 30
+    assert not rig.faults
 
 
 def test_file_of_another_record_is_damage(rig: Rig) -> None:

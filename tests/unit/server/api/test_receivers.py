@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -178,6 +179,24 @@ async def test_scores_are_told_by_scope_and_setting(
     assert all(value == round(value, 1) for value in values) is (told == "tenths")
     assert found["confidence"] == max(found["scores"].values())
     assert set(found["scores"]) == set(bench.bundle.labels)
+
+
+async def test_answer_has_one_size_and_the_same_fields_whatever_is_seen(
+    running: Running, fresh_bench: Bench
+) -> None:
+    fresh_bench.release = "sealed"
+    fresh_bench.receivers.add("archive", KEY.public)
+    scenes = (np.zeros((4, 5), np.float32), np.full((4, 5), 1e3, np.float32))
+    sizes, fields = set(), set()
+    async with running(on=fresh_bench, policy=EveryCaptures(captures=1)) as client:
+        for scene in (*scenes, *scenes):
+            fresh_bench.sensor.measurement = scene
+            answer = await client.post("/v1/captures")
+            found = answer.json()
+            fields.add(frozenset(name for name, value in found.items() if value is not None))
+            sizes.add(len(json.dumps(found)))
+    assert len(sizes) == 1
+    assert fields == {frozenset(("id", "epoch", "number", "taken_at", "embedding"))}
 
 
 async def test_stored_masks_that_are_spent_release_nothing_more(
