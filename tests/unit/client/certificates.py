@@ -35,13 +35,22 @@ class Certificate:
         number = x509.random_serial_number()
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"camera {number}")])
         issuer = name if signer is None else signer.certificate.subject
+        signing = key if signer is None else signer.key
+        # Python 3.13 wants the last three of whatever an authority signs.
+        usage = x509.KeyUsage(True, False, False, False, False, True, False, False, False)
+        identifier = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key())
         certificate = (
             x509.CertificateBuilder(issuer, name, key.public_key(), number)
             .not_valid_before(BEGIN)
             .not_valid_after(BEGIN + days * DAY)
             .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
             .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
-            .sign(key if signer is None else signer.key, hashes.SHA256())
+            .add_extension(usage, critical=True)
+            .add_extension(identifier, critical=False)
+            .add_extension(
+                x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
+            )
+            .sign(signing, hashes.SHA256())
         )
         return cls(certificate, key)
 
